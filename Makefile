@@ -42,6 +42,7 @@ REALTIME = $(BIN)/python -m pytest -n 0 -m "realtime and not slow" $$(grep -rl '
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python tools/docstrings.py
 
 types: setup
 	$(BIN)/mypy

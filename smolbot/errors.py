@@ -16,7 +16,7 @@ _SETTING = re.compile(r"--set (?P<key>[^=\s]+)=.*?: (?P<fault>.+)")
 class SmolbotError(Exception):
     """Base of all errors raised on purpose: the message is for people, the fields are for programs.
 
-    Fields are given by keyword where they are known where the error is raised; they survive pickling.
+    Fields are given by keyword where the error is raised, if they are known; they survive pickling.
 
     Examples
     --------
@@ -30,12 +30,17 @@ class SmolbotError(Exception):
 
 
 class InputError(SmolbotError, ValueError):
-    """A value, shape or unit that cannot be used; the message says which, and what is possible.
+    """A value, shape or unit that cannot be used; the message names it, and what is possible.
+
+    Parameters
+    ----------
+    message : str
+    channel : str
 
     Attributes
     ----------
     channel : str
-        Sensor, converter input or coil that it concerns; empty where it is of none.
+        Sensor, converter input or coil that it concerns; empty if it concerns none.
 
     Examples
     --------
@@ -54,7 +59,7 @@ class InputError(SmolbotError, ValueError):
 
 @dataclass(frozen=True)
 class FileFault:
-    """One fault of a file: `line` and `key` where they are known; `file` is empty for a setting laid over one."""
+    """One fault of a file; `line` is None and `key` empty if unknown, `file` is empty for a ``--set`` option."""
 
     file: str
     line: int | None
@@ -82,8 +87,8 @@ class ConfigError(SmolbotError, ValueError):
 
     @property
     def faults(self) -> tuple[FileFault, ...]:
-        """Every line of the message, taken apart."""
-        return tuple(_taken_apart(line) for line in str(self).splitlines())
+        """Every line of the message as a fault."""
+        return tuple(_parse_fault(line) for line in str(self).splitlines())
 
     @property
     def file(self) -> str:
@@ -101,7 +106,7 @@ class ConfigError(SmolbotError, ValueError):
         return self.faults[0].key if self.faults else ""
 
 
-def _taken_apart(line: str) -> FileFault:
+def _parse_fault(line: str) -> FileFault:
     if found := _SETTING.fullmatch(line):
         return FileFault("", None, found["key"], found["fault"])
     if found := _LINE.fullmatch(line):
@@ -110,14 +115,20 @@ def _taken_apart(line: str) -> FileFault:
 
 
 class MissingFileError(SmolbotError, FileNotFoundError):
-    """A named file, mission, rig or robot does not exist; the message lists what does.
+    """A named file, mission, rig or robot does not exist; the message lists those that do.
+
+    Parameters
+    ----------
+    message : str
+    name : str
+    known : iterable of str
 
     Attributes
     ----------
     name : str
-        What was asked for.
+        The requested name.
     known : tuple of str
-        Shipped ones of its kind; empty where there is no kind.
+        Shipped files of the same kind; empty if there is no kind.
     """
 
     def __init__(self, message: str = "", /, *, name: str = "", known: Iterable[str] = ()) -> None:
@@ -131,10 +142,16 @@ class MissingFileError(SmolbotError, FileNotFoundError):
 class InterlockError(SmolbotError, ValueError):
     """A shot that breaks a limit of the rig. Nothing of it was played.
 
+    Parameters
+    ----------
+    message : str
+    limit, value : float, optional
+    unit, channel : str
+
     Attributes
     ----------
     limit, value : float or None
-        Of the first limit that is broken, and what was asked for; None where it is no number.
+        The first limit that is broken, and the requested value; None if it is no number.
     unit : str
         Of both.
     channel : str
@@ -160,14 +177,19 @@ class InterlockError(SmolbotError, ValueError):
 
 
 class RigError(SmolbotError, RuntimeError):
-    """The world failed while it played a shot. Every output is at zero.
+    """The rig failed while it played a shot. Every output is at zero.
+
+    Parameters
+    ----------
+    message : str
+    device, channel : str
 
     Attributes
     ----------
     device : str
-        Card, supply, stage or server that failed; empty where none is named.
+        Card, supply, stage or server that failed; empty if none is named.
     channel : str
-        Coil or input of it; empty where it is the whole device.
+        Coil or input of the device; empty if it is the complete device.
     """
 
     def __init__(self, message: str = "", /, *, device: str = "", channel: str = "") -> None:
@@ -176,12 +198,20 @@ class RigError(SmolbotError, RuntimeError):
 
 
 class SafetyError(RigError):
-    """The safety ended a run; the message names device or quantity, value and limit. Nothing more is played.
+    """The safety supervisor ended a run; the message names device or quantity, value and limit.
+
+    Nothing more is played.
+
+    Parameters
+    ----------
+    message : str
+    limit, value : float, optional
+    unit, channel, device : str
 
     Attributes
     ----------
     limit, value : float or None
-        Of the quantity that the message names, where it is a number.
+        Of the quantity that the message names; None if it is no number.
     unit : str
         Of both.
     channel : str
@@ -201,12 +231,17 @@ class OperatorStopError(RigError):
 
 
 class SignalLostError(SmolbotError, RuntimeError):
-    """No signal that can be trusted, after every means of finding it was tried.
+    """No usable signal, after every way of searching for it was tried.
+
+    Parameters
+    ----------
+    message : str
+    signal_to_noise, needed : float, optional
 
     Attributes
     ----------
     signal_to_noise, needed : float or None
-        The best that was heard, and the least that would do.
+        The best signal-to-noise ratio that was measured, and the smallest that suffices.
     """
 
     def __init__(
@@ -219,10 +254,15 @@ class SignalLostError(SmolbotError, RuntimeError):
 class PluginError(SmolbotError, ImportError):
     """A controller, rig or command that is not installed, breaks its protocol, or is shadowed by a foreign package.
 
+    Parameters
+    ----------
+    message : str
+    group, name : str
+
     Attributes
     ----------
     group : str
-        Kind of plug-in: ``controllers``, ``rigs``, …; empty where it is a package that is missing.
+        Kind of plug-in: ``controllers``, ``rigs``, …; empty if a package is missing.
     name : str
         Of the entry point, or of the package.
     """

@@ -84,7 +84,7 @@ class Instant:
         Of the cycle in its flight.
     tracker, controller
         Copies from just before this cycle's update; copy them again before use. None where no copy was requested.
-    shot, heard
+    shot, measured
         The tracker's input: the shot played and the measured pose.
     state : State
         Ground truth.
@@ -265,7 +265,7 @@ def simulate_flight(
     keep: Callable[[int], bool] = lambda cycle: True,
     max_cycles: int = MAX_CYCLES,
 ) -> Iterator[Instant]:
-    """Cycles of a flight, from the first command on, until the law is done or `max_cycles` have passed.
+    """Simulate the cycles of a flight, from the first command until the law is done.
 
     Parameters
     ----------
@@ -273,16 +273,22 @@ def simulate_flight(
     controller : Controller
         New; it is flown with.
     delay_cycles : int
-        By how many cycles each pose is late, without the tracker's knowing.
+        By how many cycles each pose is late; the tracker does not know it.
     measure : callable
-        What is heard of a state; without it, the truth.
+        Returns the measured for the true state; by default they are the same.
     keep : callable
         Whether to copy tracker and law in the cycle of that number.
+    max_cycles : int
+        After which the flight ends.
+
+    Yields
+    ------
+    Instant
 
     Raises
     ------
     InputError
-        If the law arrives and has told no progress on the way; if the robot leaves the field table.
+        If the law is done and has reported no progress, or the robot leaves the field table.
     """
     mission, setup = model.mission, model.setup
     position = np.array([*mission.start, mission.rig.surface_z])
@@ -297,9 +303,9 @@ def simulate_flight(
         state = state.move(*model.compute_motion(state, window))
         states.append(state)
         wait, there = 0.5 * model.listening[-1].duration, measure(states[0])
-        heard = Pose(shot.end - wait, there.position, there.compute_orientation(), model.find_covariance(progress))
+        measured = Pose(shot.end - wait, there.position, there.compute_orientation(), model.find_covariance(progress))
         kept = model.copy_tracker(tracker) if begun and keep(cycle) else None
-        tracker.update(shot, heard)
+        tracker.update(shot, measured)
         clock = shot.end + mission.rig.turnaround
         if not tracker.confirmed:
             continue
@@ -313,10 +319,10 @@ def simulate_flight(
         assert not isinstance(command.window, tuple)  # helical robots are refused before
         window, progress = command.window, command.progress
         duration = window.duration if window is not None else 0.0
-        yield Instant(cycle, kept, before, shot, heard, state, pose, command, duration + model.rest, wait)
+        yield Instant(cycle, kept, before, shot, measured, state, pose, command, duration + model.rest, wait)
         if command.done and progress == 0.0:
             raise InputError(
-                f"The law '{mission.law}' tells no progress in its commands, so its cycles have no place on the path."
+                f"The law '{mission.law}' reports no progress in its commands, so its cycles have no place on the path."
             )
         if command.done:
             return

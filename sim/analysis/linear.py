@@ -1,7 +1,7 @@
 """Linearise one cycle of the loop: how a small deviation from the path changes the next motion.
 
-The law is evaluated as it is, with its internal state, at poses that deviate from the nominal one as much as tracked
-poses err.
+The law is evaluated as it is, with its internal state, at poses around the nominal one, spread like the errors of
+tracked poses.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Cycle:
     motion : ndarray, shape (2, 2)
         M.
     feedback : ndarray, shape (2, 2)
-        G: the gain with the least residual motion, over poses that err as tracked ones do.
+        G: the gain with the least residual motion, over poses with the errors of tracked ones.
     explained : ndarray, shape (2,)
         Share of the variance of the motion (across, turn) that G explains; 1 for a linear law.
     currents : ndarray, shape (2, n_coils), per A
@@ -107,13 +107,13 @@ def linearize_cycle(model: Model, instant: Instant, pairs: int = PROBE_PAIRS) ->
     feedback, explained = fit_feedback(model, instant.controller, instant.pose, state, normal, sigma, pairs)
     window = command.window
 
-    def seen(moved: tuple[FloatArray, float]) -> FloatArray:
+    def project(moved: tuple[FloatArray, float]) -> FloatArray:
         return np.array([moved[0] @ normal, moved[1]])
 
     motion = np.empty((2, 2))
     for k, step in enumerate(np.diag(sigma)):
         ends = [
-            seen(model.compute_motion(state.move(sign * step[0] * normal, sign * step[1]), window))
+            project(model.compute_motion(state.move(sign * step[0] * normal, sign * step[1]), window))
             for sign in (1.0, -1.0)
         ]
         motion[:, k] = (ends[0] - ends[1]) / (2.0 * sigma[k])
@@ -170,14 +170,14 @@ def fit_feedback(
     design = np.column_stack([np.ones(len(points)), points / sigma])
     found, *_ = np.linalg.lstsq(design, moved, rcond=None)
     left = np.sum((moved - design @ found) ** 2, axis=0)
-    whole = np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
-    explained = np.where(whole > NO_MOTION, 1.0 - left / np.maximum(whole, TINY), 1.0)
+    total = np.sum((moved - moved.mean(axis=0)) ** 2, axis=0)
+    explained = np.where(total > NO_MOTION, 1.0 - left / np.maximum(total, TINY), 1.0)
     return found[1:].T / sigma, explained
 
 
 @cache
 def _sample_normal_points(pairs: int) -> FloatArray:
-    """Points (2 pairs, 2) of unit covariance in opposite pairs, the same each time: none of it is drawn."""
+    """Points (2 pairs, 2) of unit covariance in opposite pairs; the same each time, not random."""
     index = np.arange(pairs)
     # radii at the middles of equal shares of their distribution, each rotated by the golden section of half a turn
     radii = np.sqrt(-2.0 * np.log(1.0 - (index + 0.5) / pairs))
@@ -207,7 +207,7 @@ def _differentiate_by_currents(model: Model, state: State, window: object, norma
 
 
 def _differentiate_tracker(model: Model, instant: Instant, normal: FloatArray, sigma: FloatArray) -> FloatArray:
-    """What the tracker makes of an error in a heard pose: exact, since it is linear in it."""
+    """Compute the tracker's response to an error of a measured pose; exact, since it is linear in it."""
     assert instant.tracker is not None
     out = np.empty((3, 2))
     for k, (off, turn) in enumerate(np.diag(sigma)):
@@ -226,7 +226,7 @@ def _differentiate_tracker(model: Model, instant: Instant, normal: FloatArray, s
 
 
 def average_cycles(cycles: list[Cycle], index: int, reach: int) -> Cycle:
-    """Average the loop over neighbouring cycles: what the loop sees while it settles.
+    """Average the loop over neighbouring cycles: what acts on the loop while it settles.
 
     Parameters
     ----------

@@ -105,30 +105,30 @@ class SampledLoop:
         n, m = self.drifts.shape
         eye, zero = np.eye(n), np.zeros((n, n))
         k, kv = self.kalman[:n], self.kalman[n:]
-        told = np.hstack([zero, self.feedback, self.wait * self.feedback @ self.drifts])
-        predicted = np.hstack([zero, eye + self.motion, (eye + self.motion) @ self.drifts * self.period]) + told
+        commanded = np.hstack([zero, self.feedback, self.wait * self.feedback @ self.drifts])
+        predicted = np.hstack([zero, eye + self.motion, (eye + self.motion) @ self.drifts * self.period]) + commanded
         order = 2 * n + m + late * n
         a, b = np.zeros((order, order)), np.zeros((order, n))
         a[:n, :n], b[:n] = eye + self.motion, eye
-        heard, heard_w = np.zeros((n, order)), np.zeros((n, n))
+        measured, measured_w = np.zeros((n, order)), np.zeros((n, n))
         if late == 0:
-            heard[:, :n], heard_w = eye + self.motion, eye
+            measured[:, :n], measured_w = eye + self.motion, eye
         elif late == 1:
-            heard[:, :n] = eye
+            measured[:, :n] = eye
         else:
-            heard[:, 2 * n + m + (late - 2) * n : 2 * n + m + (late - 1) * n] = eye
+            measured[:, 2 * n + m + (late - 2) * n : 2 * n + m + (late - 1) * n] = eye
         wide = np.zeros((n, order))
         wide[:, : 2 * n + m] = predicted
-        a[n : 2 * n] = wide + k @ (heard - wide)
-        a[2 * n : 2 * n + m] = kv @ (heard - wide)
+        a[n : 2 * n] = wide + k @ (measured - wide)
+        a[2 * n : 2 * n + m] = kv @ (measured - wide)
         a[2 * n : 2 * n + m, 2 * n : 2 * n + m] += np.eye(m)
-        b[n : 2 * n], b[2 * n : 2 * n + m] = k @ heard_w, kv @ heard_w
+        b[n : 2 * n], b[2 * n : 2 * n + m] = k @ measured_w, kv @ measured_w
         for i in range(late):
             row = 2 * n + m + i * n
             source = 0 if i == 0 else row - n
             a[row : row + n, source : source + n] = eye
         c = np.zeros((n, order))
-        c[:, : 2 * n + m] = told
+        c[:, : 2 * n + m] = commanded
         return a, b, c
 
     def close_loop(self, factor: float = 1.0, late: int = 0) -> FloatArray:
@@ -245,7 +245,7 @@ class SampledLoop:
 
 @dataclass(frozen=True)
 class Margins:
-    """How far a loop is from ringing on. Zero margins where it does so already, infinite ones where nothing makes it.
+    """Stability margins of a loop: zero where it is unstable already, infinite where nothing makes it unstable.
 
     Attributes
     ----------
@@ -278,6 +278,7 @@ class Margins:
 
     @property
     def stable(self) -> bool:
+        """Whether the loop is stable."""
         return self.radius <= UNSTABLE
 
     @property
@@ -374,9 +375,9 @@ def _count_late_cycles(loop: SampledLoop) -> int:
 def _find_bandwidth(loop: SampledLoop) -> float:
     """In Hz; nan where the loop does not follow at all, half the sampling rate where it follows everything."""
     angles = np.linspace(0.0, math.pi, FREQUENCIES + 1)[1:]
-    a, heard = loop.close_loop(), loop.build_measurement_input()
+    a, measured = loop.close_loop(), loop.build_measurement_input()
     z = np.exp(1j * angles)[:, None, None]
-    response = np.linalg.solve(z * np.eye(len(a)) - a, np.broadcast_to(heard[:, :1], (len(angles), len(a), 1)))
+    response = np.linalg.solve(z * np.eye(len(a)) - a, np.broadcast_to(measured[:, :1], (len(angles), len(a), 1)))
     across = np.abs(response[:, 0, 0])
     if not across[0] > NO_RESPONSE:
         return math.nan

@@ -251,7 +251,7 @@ def _compute_distance(
         return math.inf, math.inf
     scale = np.array([weights.across, weights.heading])
     unit = scale[None, :] / scale[:, None]
-    wanted = np.array([target[int(np.argmin(np.abs(arcs - c.arc)))] for c in cycles]) * unit
+    desired = np.array([target[int(np.argmin(np.abs(arcs - c.arc)))] for c in cycles]) * unit
     found = np.array([c.feedback for c in cycles]) * unit
-    apart = np.linalg.norm(found - wanted, axis=(1, 2)) / np.maximum(np.linalg.norm(wanted, axis=(1, 2)), NO_FEEDBACK)
+    apart = np.linalg.norm(found - desired, axis=(1, 2)) / np.maximum(np.linalg.norm(desired, axis=(1, 2)), NO_FEEDBACK)
     return float(np.median(apart)), clock

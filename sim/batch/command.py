@@ -36,18 +36,18 @@ def simulate(
     from smolbot.runs.folder import make_dated_path
     from smolbot.ui.cli.show import show_bar
 
-    wanted, settings = parse_seeds(seeds), parse_settings(set_)
+    seed_list, settings = parse_seeds(seeds), parse_settings(set_)
     name = load_mission(mission, rig, settings).name
     passed = 0
-    with show_bar(name, total=len(wanted)) as tell:
+    with show_bar(name, total=len(seed_list)) as update:
 
         def progress(flight: Flight) -> None:
             nonlocal passed
             passed += flight.passed
-            tell(advance=1, description=f"{name}: {passed} passed")
+            update(advance=1, description=f"{name}: {passed} passed")
 
         found = fly_seeds(
-            mission, wanted, rig=rig, plant=plant.value, jobs=jobs, scheduler=scheduler,
+            mission, seed_list, rig=rig, plant=plant.value, jobs=jobs, scheduler=scheduler,
             out=out or make_dated_path(f"simulate-{name}"), settings=settings, progress=progress,
         )  # fmt: skip
     _print_results(found, json)

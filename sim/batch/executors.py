@@ -18,14 +18,23 @@ CONNECT_SECONDS = 10.0
 
 @contextmanager
 def open_executor(jobs: int = 0, scheduler: str | None = None) -> Iterator[Executor]:
-    """An executor of `jobs` processes, or of the dask cluster at address `scheduler`.
+    """Open an executor of processes on this machine, or of a dask cluster.
 
-    With 0 there is one process per core; with 1 all is done in this one, in a thread.
+    Parameters
+    ----------
+    jobs : int
+        Number of processes; 0 takes one per core, 1 a thread of this process.
+    scheduler : str, optional
+        Address of a dask scheduler, instead of processes.
+
+    Yields
+    ------
+    concurrent.futures.Executor
 
     Raises
     ------
     InputError
-        If no scheduler answers there, or dask is not installed.
+        If no scheduler answers at that address, or dask is not installed.
     """
     if scheduler is None and jobs == 1:
         with ThreadPoolExecutor(1) as here:

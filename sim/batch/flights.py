@@ -39,7 +39,7 @@ def fly_seeds(
     settings : dict of str to str
         Overrides, as ``--set`` takes them.
     seeds : list of int
-    plant : Plant
+    plant : PlantModel
 
     Yields
     ------
@@ -56,7 +56,7 @@ _loaded: dict[tuple[Any, ...], Any] = {}
 
 
 def forget_missions() -> None:
-    """Read files anew where they are needed next in this process: they may have changed since it flew last."""
+    """Forget the loaded missions: their files may have changed since this process flew last."""
     _loaded.clear()
 
 
@@ -74,7 +74,7 @@ def fly_one(
     settings : dict of str to str
         Overrides, as ``--set`` takes them.
     seed : int
-    plant : Plant
+    plant : PlantModel
 
     Returns
     -------
@@ -111,7 +111,7 @@ def compute_warm_rates(flights: list[Flight]) -> dict[str, float | None]:
     Examples
     --------
     >>> flown = ((1, 9.0, 2.0), (2, 9.5, 2.1), (1, 10.0, 2.5), (1, 11.0, 3.0))
-    >>> compute_warm_rates([SimulatedFlight({}, None, process, ended, used) for process, ended, used in flown])
+    >>> compute_warm_rates([Flight({}, None, process, ended, used) for process, ended, used in flown])
     {'warm': 60.0, 'per_processor': 120.0}
     """
     own: dict[int, list[Flight]] = {}

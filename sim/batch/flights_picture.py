@@ -29,7 +29,7 @@ def draw_flights(mission: Mission, flights: list[Flight], path: Path) -> None:
     """
     world = "full tank" if flights[0].summary["plant"] == "full" else "reduced plant, not the full tank"
     with open_sheet(
-        path, format_headline(mission, flights), f"{world}, each flight a robot and a bench drawn anew"
+        path, format_headline(mission, flights), f"{world}, each flight with a newly sampled robot and bench"
     ) as figure:
         grid = figure.add_gridspec(
             3, 2, width_ratios=[1.0, 1.1], wspace=0.22, hspace=0.5, left=0.06, right=0.97, top=0.845, bottom=0.09

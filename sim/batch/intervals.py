@@ -4,7 +4,16 @@ from __future__ import annotations
 
 
 def compute_wilson_interval(passed: int, total: int) -> tuple[float, float]:
-    """95 % interval of a rate from `passed` of `total` trials (Wilson score).
+    """Compute the 95 % interval of a rate (Wilson score).
+
+    Parameters
+    ----------
+    passed, total : int
+        Number of trials that passed, and of all.
+
+    Returns
+    -------
+    low, high : float
 
     Examples
     --------

@@ -26,14 +26,14 @@ def draw_observations(mission: Observation, flights: list[Flight], path: Path) -
     flights : list of Flight
     path : Path
     """
-    wanted = mission.sections.verdict
-    error: Row = ("Mean localization error, in mm", ["localization_mean_mm"], wanted.mean_localization_mm)
+    limits = mission.sections.verdict
+    error: Row = ("Mean localization error, in mm", ["localization_mean_mm"], limits.mean_localization_mm)
     turn: Row = ("Mean orientation error, in degrees", ["orientation_mean_deg"], None)
     if mission.sections.observe.measurements is None:
-        rows = [error, turn, ("Trusted poses a second", ["pose_rate_hz"], wanted.min_rate_hz)]
+        rows = [error, turn, ("Trusted poses a second", ["pose_rate_hz"], limits.min_rate_hz)]
     else:
-        rows = [("Sigma of the measurements in space, in mm", ["sigma_mm"], wanted.max_sigma_mm), error, turn]
-    text = "full tank, each observation a device, a bench and a hand drawn anew"
+        rows = [("Sigma of the measurements in space, in mm", ["sigma_mm"], limits.max_sigma_mm), error, turn]
+    text = "full tank, each observation with a newly sampled device, bench and operator"
     with open_sheet(path, format_headline(mission, flights), text) as figure:
         grid = figure.add_gridspec(
             3, 2, width_ratios=[1.15, 1.0], wspace=0.17, hspace=0.5, left=0.06, right=0.97, top=0.845, bottom=0.09

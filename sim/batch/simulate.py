@@ -1,4 +1,4 @@
-"""Flies a mission over many seeds, each a tank drawn anew: the entry point ``simulate`` of ``smolbot.functions``."""
+"""Flies a mission over many seeds, each with a new tank: the entry point ``simulate`` of ``smolbot.functions``."""
 
 from __future__ import annotations
 
@@ -22,11 +22,26 @@ def simulate(
     mission: str, seeds: Iterable[int], *, rig: str | None, plant: PlantName, jobs: int, scheduler: str | None,
     out: Path | None, settings: Mapping[str, str], progress: Callable[[Flight], None] | None,
 ) -> Simulation:  # fmt: skip
-    """Fly a mission once per seed; parameters and errors as `smolbot.simulate` has them."""
-    wanted, laid = sorted(seeds), dict(settings)
-    if not wanted:
+    """Fly a mission once per seed.
+
+    Parameters
+    ----------
+    mission, seeds, rig, plant, jobs, scheduler, out, settings, progress
+        As of `smolbot.simulate`.
+
+    Returns
+    -------
+    Simulation
+
+    Raises
+    ------
+    InputError
+        Without seeds, or if the reduced plant cannot fly this mission.
+    """
+    seeds, settings = sorted(seeds), dict(settings)
+    if not seeds:
         raise InputError("simulate needs one seed at least; got none.")
-    loaded = load_mission(mission, rig, laid)
+    loaded = load_mission(mission, rig, settings)
     if plant == "reduced":
         from sim.reduced.rig import require_flyable
 
@@ -35,11 +50,11 @@ def simulate(
         loaded.rig.table()  # built once, before the workers need it
     folder = None if out is None else RunFolder(out)
     if folder is not None:
-        where = collect_provenance(wanted[0], laid, {"seeds": wanted, "plant": plant})
+        where = collect_provenance(seeds[0], settings, {"seeds": seeds, "plant": plant})
         folder.begin(RunFiles.of(loaded).contents, where)
     begin, flights = time.perf_counter(), []
     with open_executor(jobs, scheduler) as executor:
-        for flight in fly_seeds(executor, mission, rig, laid, wanted, PlantModel(plant)):
+        for flight in fly_seeds(executor, mission, rig, settings, seeds, PlantModel(plant)):
             flights.append(flight)
             if progress is not None:
                 progress(flight)
@@ -57,7 +72,14 @@ def simulate(
 
 
 def draw(mission: AnyMission, flights: list[Flight], path: Path) -> None:
-    """Write the picture of all flights."""
+    """Write the picture of all flights.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+    flights : list of Flight
+    path : Path
+    """
     if isinstance(mission, Observation):
         from sim.batch.observations_picture import draw_observations
 

@@ -78,7 +78,7 @@ def sample_appearance(rng: np.random.Generator, robot: RobotConfig, floating: bo
 
     Returns
     -------
-    Looks
+    Appearance
     """
     half = 0.5 * (np.array(robot.size) + rng.normal(0.0, SIZE_ERROR, 3))
     device = robot.device
@@ -98,7 +98,7 @@ def find_region(
     Parameters
     ----------
     camera : Camera
-    looks : Looks
+    looks : Appearance
     position : ndarray, shape (3,), in m
         Rotation centre, world frame.
     rotation_body_to_world : ndarray, shape (3, 3)
@@ -126,9 +126,9 @@ def paint_robot(
     Parameters
     ----------
     frame : ndarray, shape (height, width, 3)
-    scene : Stage
+    scene : Scene
     camera : Camera
-    looks : Looks
+    looks : Appearance
     position : ndarray, shape (3,), in m
         Rotation centre, world frame.
     orientation : ndarray, shape (4,)
@@ -158,9 +158,9 @@ def paint_shadow(frame: FloatArray, scene: Scene, camera: Camera, looks: Appeara
     Parameters
     ----------
     frame : ndarray, shape (height, width, 3)
-    scene : Stage
+    scene : Scene
     camera : Camera
-    looks : Looks
+    looks : Appearance
     position : ndarray, shape (3,), in m
         Rotation centre, world frame.
     """

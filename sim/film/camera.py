@@ -66,8 +66,8 @@ class Camera:
         -------
         ndarray, shape (n, 2), in pixels
         """
-        seen = (points - self.position) @ self.axes.T
-        flat = seen[:, :2] / seen[:, 2:]
+        in_camera = (points - self.position) @ self.axes.T
+        flat = in_camera[:, :2] / in_camera[:, 2:]
         flat = flat * (1.0 + self.distortion * np.sum(flat**2, axis=1, keepdims=True))
         return np.asarray(self.focal * flat + np.array(self.principal_point))
 

@@ -37,7 +37,7 @@ class Film:
 
     Attributes
     ----------
-    camera, scene, appearance : Camera, Stage, Looks
+    camera, scene, appearance : Camera, Scene, Appearance
         As sampled.
     times : ndarray, shape (n,), in s
         Of the frames, on the run's clock.

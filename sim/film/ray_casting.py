@@ -100,8 +100,8 @@ def refract(dx: float, dy: float, index: float) -> tuple[float, float, float]:
 
 @njit(cache=True, error_model="numpy")
 def intersect_box(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, rotation_box_to_world: FloatArray, middle: FloatArray,
-    half: FloatArray, first: float, last: float,
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, rotation_box_to_world: FloatArray,
+    middle: FloatArray, half: FloatArray, first: float, last: float,
 ) -> tuple[float, int]:  # fmt: skip
     """Intersect a ray with a rotated box.
 
@@ -169,9 +169,9 @@ def render_empty(
     posts : ndarray, shape (n, 6), in m
         Middle (3) and half sides (3) of each.
     tones : ndarray, shape (4, 3)
-        See `Stage`.
+        See `Scene`.
     shading : ndarray, shape (5,)
-        See `Stage`.
+        See `Scene`.
     rays_per_side : int
         Each pixel is the mean of `rays_per_side`² rays.
 
@@ -248,8 +248,9 @@ def render_empty(
 
 @njit(cache=True, error_model="numpy")
 def render_robot(
-    behind: FloatArray, u0: int, v0: int, rays_per_side: int, lens: FloatArray, surface: float, index: float, rotation_body_to_world: FloatArray,
-    boxes: FloatArray, resin: FloatArray, clear: float, ring: FloatArray, lamp: FloatArray, upright: int,
+    behind: FloatArray, u0: int, v0: int, rays_per_side: int, lens: FloatArray, surface: float, index: float,
+    rotation_body_to_world: FloatArray, boxes: FloatArray, resin: FloatArray, clear: float, ring: FloatArray,
+    lamp: FloatArray, upright: int,
 ) -> FloatArray:  # fmt: skip
     """Render a region of the picture with the robot in it.
 

@@ -129,7 +129,7 @@ def sample_scene(rng: np.random.Generator, rig: RigConfig, *, posts: bool = True
 
     Returns
     -------
-    Stage
+    Scene
     """
     box = rig.container
     center, half = box.center, 0.5 * box.size
@@ -167,7 +167,7 @@ def draw_sheets(scene: Scene, rng: np.random.Generator) -> tuple[Sheet, Sheet, F
 
     Parameters
     ----------
-    scene : Stage
+    scene : Scene
     rng : numpy.random.Generator
 
     Returns
@@ -230,7 +230,7 @@ def photograph(scene: Scene, camera: Camera, rng: np.random.Generator) -> FloatA
 
     Parameters
     ----------
-    scene : Stage
+    scene : Scene
     camera : Camera
     rng : numpy.random.Generator
 

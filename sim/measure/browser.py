@@ -48,7 +48,7 @@ class Browser(Closeable):
     Parameters
     ----------
     width, height : int
-        Of the window, in pixels. What is drawn by software costs a processor.
+        Of the window, in pixels. Software rendering costs a processor.
     """
 
     def __init__(self, width: int = 1600, height: int = 1000) -> None:
@@ -84,7 +84,7 @@ class Browser(Closeable):
         end = time.monotonic() + timeout
         while self.read_text("state") in ("", "NO CONTACT"):
             if time.monotonic() > end:
-                raise TimeoutError(f"The page at {address} has heard nothing within {timeout:g} s.")
+                raise TimeoutError(f"The page at {address} has received nothing within {timeout:g} s.")
             time.sleep(0.1)
         self.driver.execute_script(  # viser's notice that drawing is slow here: nobody has it who has a screen
             "const style = document.createElement('style'); style.textContent = '.mantine-Notifications-root "
@@ -124,12 +124,12 @@ class Browser(Closeable):
         Raises
         ------
         TimeoutError
-            If none came in time.
+            If none appeared in time.
         """
         end = time.monotonic() + timeout
         while (found := self.read_text(name)) not in texts:
             if time.monotonic() > end:
-                raise TimeoutError(f"#{name} says '{found}', and none of {', '.join(texts)} within {timeout:g} s.")
+                raise TimeoutError(f"#{name} shows '{found}', and none of {', '.join(texts)} within {timeout:g} s.")
             time.sleep(0.1)
         return found
 
@@ -155,11 +155,11 @@ class Browser(Closeable):
         offset = begun - wall + 0.5 * (before + after)
         for _ in range(CLOCK_READINGS):
             before = time.monotonic()
-            told = offset + 1e-3 * float(self.driver.execute_script("return performance.now()"))
+            reported = offset + 1e-3 * float(self.driver.execute_script("return performance.now()"))
             after = time.monotonic()
-            if not before - CLOCK_TOLERANCE <= told <= after + CLOCK_TOLERANCE:
+            if not before - CLOCK_TOLERANCE <= reported <= after + CLOCK_TOLERANCE:
                 raise RuntimeError(
-                    f"the page's clock is off: {told:.4f} s is not within {before:.4f} and {after:.4f} s"
+                    f"the page's clock is off: {reported:.4f} s is not within {before:.4f} and {after:.4f} s"
                 )
         return offset, CLOCK_TOLERANCE
 

@@ -52,7 +52,7 @@ HEADER = (
 
 
 class EndedEarlyError(RigError):
-    """A flight ended before it was stopped: what is measured never came."""
+    """A flight ended before it was stopped, so nothing was measured."""
 
 
 @dataclass(frozen=True)
@@ -178,8 +178,8 @@ class ConsoleBench:
         line = self._flier.stdout.readline()
         if not line:
             raise RigError(f"The flier ended: {(self.folder / 'flier.log').read_text()[-2000:]}")
-        told: dict[str, Any] = json.loads(line)
-        return told
+        report: dict[str, Any] = json.loads(line)
+        return report
 
     def await_shot(self, number: int, timeout: float = 60.0) -> None:
         """Wait until a number of shots have listened since the flight began.
@@ -327,7 +327,7 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=2, help="with and without a console, for the loop's lateness")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each of these flights")
     parser.add_argument("--no-browser", action="store_true", help="only what needs none")
-    parser.add_argument("--size", default="900x620", help="of the browser's window: it is drawn by software here")
+    parser.add_argument("--size", default="900x620", help="of the browser's window: it is rendered by software here")
     parser.add_argument("--first-port", type=int, default=32793)
     given = parser.parse_args()
     reason = "" if given.no_browser else find_missing()
@@ -347,7 +347,7 @@ def main() -> None:
                 for number in range(counts[way]):
                     try:
                         stop = bench.stop(way, float(waits.uniform(0.0, 0.3)))
-                    except EndedEarlyError as error:  # nothing was stopped; said, and counted
+                    except EndedEarlyError as error:  # nothing was stopped; printed and counted
                         early += 1
                         print(f"  {way} {number + 1}: not measured, the flight ended before: {error}", flush=True)
                         continue

@@ -1,6 +1,6 @@
-"""Every fault at three moments of a mission on the twin: how long until all is at rest, and what is said.
+"""Every fault at three moments of a mission on the twin: how long until all is at rest, and what is printed.
 
-Run it with ``python -m sim.measure.fault_cases``; it prints a table, a line a case, and ends with 1 if one failed.
+Run it with ``python -m sim.measure.fault_cases``; it prints a table, one line per case, and ends with 1 if one failed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sim.twin.control import TwinControl
 from smolbot.errors import RigError
 
 FAULT_SHOT = 16
-"""The electrical shot in which a fault comes: the robot is found by then, and pulled."""
+"""The electrical shot in which a fault occurs: the robot is found by then, and pulled."""
 
 ALLOWED = 0.150
 """Seconds until every output is zero and every relay open."""
@@ -41,7 +41,7 @@ SERIAL_FAULTS = (
     "serial_unplugged:good", "serial_garbled:good", "serial_truncated:good", "firmware_reset:once", "firmware_hung:good"
 )  # fmt: skip
 SIGNALS = ("kill -9", "SIGTERM", "Ctrl-C twice")
-WIDE = {"COLUMNS": "400"}  # so that what is said is not broken into lines
+WIDE = {"COLUMNS": "400"}  # so that its output is not broken into lines
 
 PHASES = ("before", "actuation", "listening")
 
@@ -57,9 +57,9 @@ class Outcome:
     opened: float
     motors: float | None
     ended: float
-    said: str
+    output: str
     cycles: int
-    whole: bool
+    complete: bool
 
     @property
     def reason(self) -> str:
@@ -72,8 +72,8 @@ class Outcome:
             found.append("motors too late")
         if self.code != (-signal.SIGKILL if killed else 3):
             found.append(f"exit code {self.code}")
-        if not self.whole:
-            found.append("run folder not whole")
+        if not self.complete:
+            found.append("run folder not complete")
         return ", ".join(found)
 
 
@@ -145,7 +145,7 @@ class Bench:
         try:
             at = self._await_fault(twin, process, fault, phase, before, turning)
             motors = self._find_motors_off(twin, at) if turning else None
-            said, _ = process.communicate(timeout=90)
+            output, _ = process.communicate(timeout=90)
         except BaseException:
             process.kill()
             raise
@@ -154,17 +154,17 @@ class Bench:
         state = twin.read_state()
         stuck = name == "relay_stuck"
         opened = self._find_relay_opening(twin, before, at) if stuck else state["last_closed"] - at
-        cycles, whole = self._check_folder(out, process.returncode)
-        text = " ".join(said.split())
+        cycles, complete = self._check_folder(out, process.returncode)
+        text = " ".join(output.split())
         return Outcome(
             fault, phase, process.returncode, max(state["last_driven"] - at, 0.0), max(opened, 0.0), motors,
-            ended - at, text, cycles, whole,
+            ended - at, text, cycles, complete,
         )  # fmt: skip
 
     def _await_fault(
         self, twin: TwinControl, process: subprocess.Popen[str], fault: str, phase: str, before: int, turning: bool
     ) -> float:
-        """When the fault came, or the signal was sent."""
+        """Return when the fault occurred, or the signal was sent."""
         end = time.monotonic() + 60.0
         while time.monotonic() < end:
             if process.poll() is not None:
@@ -172,7 +172,7 @@ class Bench:
                 if found:
                     return float(found[0]["time"])
                 assert process.stdout is not None
-                raise RigError(f"The run ended before {fault} came: {process.stdout.read()}")
+                raise RigError(f"The run ended before {fault} occurred: {process.stdout.read()}")
             if turning and self._is_stage_moment(twin, phase):
                 name, _, lasting = fault.partition(":")
                 twin.inject(f"{name}@now:{lasting}")
@@ -188,16 +188,16 @@ class Bench:
                 if fault in SIGNALS and fault != "kill -9" and self._has_reached(entries, phase):
                     return _send(process, fault)
             time.sleep(0.002)
-        raise RigError(f"{fault} at {phase} did not come within a minute.")
+        raise RigError(f"{fault} at {phase} did not occur within a minute.")
 
     @staticmethod
     def _has_reached(entries: list[dict[str, Any]], phase: str) -> bool:
-        wanted, shot = ("listening", FAULT_SHOT - 1) if phase == "before" else (phase, FAULT_SHOT)
-        return any(e["what"] == "phase" and e["phase"] == wanted and e["shot"] == shot for e in entries)
+        expected, shot = ("listening", FAULT_SHOT - 1) if phase == "before" else (phase, FAULT_SHOT)
+        return any(e["what"] == "phase" and e["phase"] == expected and e["shot"] == shot for e in entries)
 
     @staticmethod
     def _is_stage_moment(twin: TwinControl, phase: str) -> bool:
-        """Before: the magnet is asked for; actuation: it turns; listening: it is away again."""
+        """Before: the magnet is requested; actuation: it turns; listening: it is away again."""
         state = twin.read_state()
         if phase == "before":
             return state["lamp"] == "near"
@@ -207,7 +207,7 @@ class Bench:
 
     @staticmethod
     def _find_motors_off(twin: TwinControl, at: float) -> float:
-        """When the motors' drivers went off, after a fault of the stage."""
+        """Return when the motors' drivers went off, after a fault of the stage."""
         while time.monotonic() < at + 5.0:
             if not twin.read_state()["motors_on"]:
                 return time.monotonic() - at
@@ -216,26 +216,26 @@ class Bench:
 
     @staticmethod
     def _find_relay_opening(twin: TwinControl, before: int, at: float) -> float:
-        """When the amplifiers were off: contacts that stick carry nothing then."""
+        """Return when the amplifiers were off: contacts that stick carry nothing then."""
         offs = [e["time"] for e in twin.send_request("log", since=before) if e["what"] == "enabled" and not e["on"]]
         return float(max(offs) - at) if offs else 0.0
 
     @staticmethod
     def _check_folder(out: Path, code: int) -> tuple[int, bool]:
-        """Cycles on record, and whether the folder is whole up to the fault."""
+        """Return the number of recorded cycles, and whether the folder is complete up to the fault."""
         names = ["mission.toml", "rig.toml", "robot.toml", "provenance.json"]
-        whole = all((out / name).is_file() for name in names)
+        complete = all((out / name).is_file() for name in names)
         cycles = 0
         table = out / "cycles.csv"
         if table.is_file():
             with table.open(newline="", encoding="utf-8") as file:
                 rows = list(csv.DictReader(file))
             cycles = len(rows)
-            whole &= [int(row["cycle"]) for row in rows] == list(range(cycles))
+            complete &= [int(row["cycle"]) for row in rows] == list(range(cycles))
         if code != -signal.SIGKILL:
             summary = out / "summary.json"
-            whole &= summary.is_file() and json.loads(summary.read_text(encoding="utf-8"))["cycles"] == cycles
-        return cycles, whole
+            complete &= summary.is_file() and json.loads(summary.read_text(encoding="utf-8"))["cycles"] == cycles
+        return cycles, complete
 
 
 def _send(process: subprocess.Popen[str], what: str) -> float:
@@ -332,7 +332,7 @@ def run_cases(folder: Path, only: str = "", first_port: int = 32763) -> Iterator
 
 
 HEADER = (
-    f"{'fault':24} {'moment':10} {'code':>4} {'zero':>7} {'relays':>7} {'motors':>7} {'ended':>7} {'cycles':>6}  said"
+    f"{'fault':24} {'moment':10} {'code':>4} {'zero':>7} {'relays':>7} {'motors':>7} {'ended':>7} {'cycles':>6}  output"
 )
 
 
@@ -349,10 +349,10 @@ def format_case(outcome: Outcome) -> str:
     """
     motors = "" if outcome.motors is None else f"{1e3 * outcome.motors:.0f}"
     verdict = f"FAILED ({outcome.reason}) " if outcome.reason else ""
-    said = outcome.said[outcome.said.find("status") :][:150]
+    output = outcome.output[outcome.output.find("status") :][:150]
     return (
         f"{outcome.fault:24} {outcome.phase:10} {outcome.code:4d} {1e3 * outcome.zero:7.1f} "
-        f"{1e3 * outcome.opened:7.1f} {motors:>7} {1e3 * outcome.ended:7.0f} {outcome.cycles:6d}  {verdict}{said}"
+        f"{1e3 * outcome.opened:7.1f} {motors:>7} {1e3 * outcome.ended:7.0f} {outcome.cycles:6d}  {verdict}{output}"
     )
 
 

@@ -33,7 +33,7 @@ class Wire:
 
     def __init__(self, port: Path) -> None:
         self._file = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        self.heard = b""
+        self.received = b""
 
     def send(self, text: bytes) -> None:
         """Send bytes, and read what arrives meanwhile.
@@ -50,9 +50,9 @@ class Wire:
             self.listen()
 
     def listen(self) -> None:
-        """Take in what has come."""
+        """Store what has arrived."""
         try:
-            self.heard += os.read(self._file, 65536)
+            self.received += os.read(self._file, 65536)
         except BlockingIOError:
             return
 
@@ -68,15 +68,15 @@ class Wire:
         Returns
         -------
         bool
-            Whether it came.
+            Whether it arrived.
         """
-        self.heard = b""
+        self.received = b""
         self.send(text)
         end = time.monotonic() + patience
-        while answer not in self.heard and time.monotonic() < end:
+        while answer not in self.received and time.monotonic() < end:
             time.sleep(0.002)
             self.listen()
-        return answer in self.heard
+        return answer in self.received
 
     def close(self) -> None:
         """Close the port."""
@@ -178,7 +178,7 @@ def _run_up(uno: SimulatedUno, wire: Wire) -> None:
     """Arm, and turn both axes for longer than any of the trials."""
     wire.send(b"\n" + format_line(1, "CLEAR") + format_line(2, "BEAT") + format_line(3, "ARM"))
     if not wire.ask(format_line(4, "MOVE 100000 800 100000 444"), b"4 OK"):
-        raise SystemExit(f"the board does not move: {wire.heard!r}")
+        raise SystemExit(f"the board does not move: {wire.received!r}")
 
 
 def _read_board_time(uno: SimulatedUno) -> float:

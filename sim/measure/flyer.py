@@ -21,14 +21,14 @@ from smolbot.ui.cli.live import connect_console
 
 
 class TimedLatch(Latch):
-    """Notes when it was shut first, and when what it halts was at rest; s on the monotonic clock."""
+    """Stores when what it halts was at rest, in s on the monotonic clock."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.heard = self.rested = float("nan")
+        self.rested = float("nan")
 
     def trip(self, reason: str, ending: Ending = "failed", *, halt: bool = True) -> bool:
-        """Trip the latch, and note when it was called and when it returned.
+        """Trip the latch, and store when the first call returned.
 
         Parameters
         ----------
@@ -41,10 +41,9 @@ class TimedLatch(Latch):
         bool
             Whether it was the first.
         """
-        heard = time.monotonic()
         first = super().trip(reason, ending, halt=halt)
         if first:
-            self.heard, self.rested = heard, time.monotonic()
+            self.rested = time.monotonic()
         return first
 
 
@@ -69,19 +68,19 @@ def main() -> None:
     """``{"live": true, "out": "runs/x", "seconds": 20}`` flies so; the answer has status, reason, stamps, lateness."""
     mission_name, rig = sys.argv[1:3]
     for line in sys.stdin:
-        asked: dict[str, Any] = json.loads(line)
-        settings = {"localization.quiet_s": "1", "stop.max_duration_s": str(asked["seconds"])}
+        request: dict[str, Any] = json.loads(line)
+        settings = {"localization.quiet_s": "1", "stop.max_duration_s": str(request["seconds"])}
         mission, latch = load_mission(mission_name, rig, settings), TimedLatch()
-        folder = RunFolder(Path(asked["out"])) if asked.get("out") else None
-        link = connect_console(mission, 1, latch, lambda _: None) if asked.get("live") else nullcontext((None, None))
+        folder = RunFolder(Path(request["out"])) if request.get("out") else None
+        link = connect_console(mission, 1, latch, lambda _: None) if request.get("live") else nullcontext((None, None))
         with link as (pause, pump):
             run = fly(mission, 1, folder=folder, settings=settings, latch=latch, pause=pause, make_live_sink=pump)
-        told = {
-            "status": run.status, "reason": run.stop_reason, "cycles": len(run.cycles), "heard": latch.heard,
+        report = {
+            "status": run.status, "reason": run.stop_reason, "cycles": len(run.cycles),
             "rested": latch.rested, "lateness": compute_lateness(run.cycles),
             "compute": [cycle.compute for cycle in run.cycles],
         }  # fmt: skip
-        print(json.dumps(told), flush=True)
+        print(json.dumps(report), flush=True)
 
 
 if __name__ == "__main__":

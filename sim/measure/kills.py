@@ -86,26 +86,26 @@ class VictimOutput:
 
         Returns
         -------
-        Told
+        VictimOutput
         """
-        told = cls()
+        output = cls()
         for text in log.read_bytes().split(b"\n")[:-1]:  # what follows the last end of line was cut short
             line = json.loads(text)
             if line["kind"] == "cycle":
-                told.marks.setdefault("fly", line["wall"])
-                told.cycles.append((line["wall"], line))
+                output.marks.setdefault("fly", line["wall"])
+                output.cycles.append((line["wall"], line))
                 if line["last"]:
-                    told.marks.setdefault("end", line["wall"])
+                    output.marks.setdefault("end", line["wall"])
             elif line["kind"] == "flushed":
-                told.flushed.append((line["wall"], line["messages"]))
-                told.marks.setdefault("learn", line["wall"])  # the beginning is on disk, and the first shot is played
+                output.flushed.append((line["wall"], line["messages"]))
+                output.marks.setdefault("learn", line["wall"])  # the beginning is on disk, and the first shot is played
             else:
-                told.marks[line["kind"]] = line["wall"]
-        return told
+                output.marks[line["kind"]] = line["wall"]
+        return output
 
 
 def kill_all(
-    kills: int, seed: int, mission: str, settings: Mapping[str, str], folder: Path, told: Callable[[str], None] = print
+    kills: int, seed: int, mission: str, settings: Mapping[str, str], folder: Path, show: Callable[[str], None] = print
 ) -> Iterator[Outcome]:
     """Fly once to the end, to learn how long each part takes; then kill as often as requested.
 
@@ -116,7 +116,7 @@ def kill_all(
     mission : str
     settings : mapping of str to str
     folder : Path
-    told : callable
+    show : callable
         Called with lines for people.
 
     Yields
@@ -124,14 +124,14 @@ def kill_all(
     Outcome
     """
     rng = np.random.default_rng(seed)
-    whole = Victim(folder / "whole", mission, seed, settings)
-    whole.process.wait(_PATIENCE)
-    marks = whole.read_output().marks
+    unharmed = Victim(folder / "unharmed", mission, seed, settings)
+    unharmed.process.wait(_PATIENCE)
+    marks = unharmed.read_output().marks
     names = [*PHASES, "done"]
     if not set(names) <= marks.keys():
-        raise RuntimeError(f"the mission did not fly to its end: {whole.read_errors()}")
+        raise RuntimeError(f"the mission did not fly to its end: {unharmed.read_errors()}")
     lengths = {a: marks[b] - marks[a] for a, b in itertools.pairwise(names)}
-    told("a run takes " + ", ".join(f"{name} {length:.2f} s" for name, length in lengths.items()))
+    show("a run takes " + ", ".join(f"{name} {length:.2f} s" for name, length in lengths.items()))
     for number in range(kills):
         phase = str(rng.choice(list(PHASES), p=list(PHASES.values())))
         delay = float(rng.uniform(0.0, lengths[phase]))
@@ -176,7 +176,7 @@ class Victim:
 
         Returns
         -------
-        Told
+        VictimOutput
         """
         return VictimOutput.read(self._log)
 
@@ -229,31 +229,31 @@ def check_recovery(victim: Victim, phase: str, killed: float) -> Outcome:
     from smolbot.runs.recording.reader import read_run
     from smolbot.runs.recover import recover
 
-    told, out = victim.read_output(), Outcome(phase)
-    out.cycles = len(told.cycles)
-    out.flushed = max((count for _, count in told.flushed), default=0)
+    output, out = victim.read_output(), Outcome(phase)
+    out.cycles = len(output.cycles)
+    out.flushed = max((count for _, count in output.flushed), default=0)
     begin = time.perf_counter()
     try:
         done = recover(victim.run)
         out.took = time.perf_counter() - begin
         again = recover(victim.run)
-        whole = read_run(victim.run)
+        run = read_run(victim.run)
     except InputError as error:
-        if out.flushed or any(wall < killed - ALLOWED for wall, _ in told.cycles):
+        if out.flushed or any(wall < killed - ALLOWED for wall, _ in output.cycles):
             out.faults.append(f"not recovered: {error}")
         return out
-    out.messages, out.torn, out.recovered = done.found.messages, done.torn is not None, len(whole.moments)
-    if not whole.whole or again.needed:
-        out.faults.append("is not whole after it was recovered")
+    out.messages, out.torn, out.recovered = done.found.messages, done.torn is not None, len(run.moments)
+    if not run.whole or again.needed:
+        out.faults.append("is not complete after it was recovered")
     if out.messages < out.flushed:
         out.faults.append(f"{out.flushed} messages were said to be flushed, {out.messages} are there")
-    if whole.number_of_cycle != list(range(out.recovered)):
+    if run.number_of_cycle != list(range(out.recovered)):
         out.faults.append("cycles are missing in between")
-    for (_, line), moment in zip(told.cycles, whole.moments, strict=False):
+    for (_, line), moment in zip(output.cycles, run.moments, strict=False):
         if line["poses"] != _format_poses(moment.cycle):
             out.faults.append(f"cycle {line['number']} is not what was played")
     if out.recovered < out.cycles:
-        out.missing = killed - told.cycles[out.recovered][0]
+        out.missing = killed - output.cycles[out.recovered][0]
     summary = json.loads((victim.run / "summary.json").read_bytes())
     if summary["cycles"] != out.recovered or not (victim.run / "path.png").is_file():
         out.faults.append("summary or picture are not those of the record")
@@ -334,7 +334,7 @@ def format_kill(number: int, outcome: Outcome) -> str:
 
 
 def main() -> None:
-    """Print the table; 1 if a run could not be recovered, or lies."""
+    """Print the table; 1 if a run could not be recovered or is wrong."""
     parser = argparse.ArgumentParser(prog="python -m sim.measure.kills", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
@@ -348,19 +348,19 @@ def main() -> None:
         fly_as_victim(given.victim, given.mission, given.seed, settings)
         return
 
-    def tell(text: str) -> None:
+    def show(text: str) -> None:
         print(text, file=sys.stderr if given.json else sys.stdout, flush=True)
 
     outcomes: list[Outcome] = []
     with tempfile.TemporaryDirectory() as folder:
-        tell(HEADER)
-        for outcome in kill_all(given.kills, given.seed, given.mission, settings, Path(folder), tell):
-            tell(format_kill(len(outcomes), outcome))
+        show(HEADER)
+        for outcome in kill_all(given.kills, given.seed, given.mission, settings, Path(folder), show):
+            show(format_kill(len(outcomes), outcome))
             outcomes.append(outcome)
     failed = sum(bool(o.faults) or o.late for o in outcomes)
     longest = max((o.missing for o in outcomes), default=0.0)
     before = sum(not o.messages for o in outcomes)
-    tell(
+    show(
         f"{len(outcomes)} kills, {failed} failed; {before} came before anything was recorded or played; "
         f"{sum(o.torn for o in outcomes)} left a torn record; "
         f"at most {longest:.3f} s missing (allowed: {ALLOWED:g} s)"

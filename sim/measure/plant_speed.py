@@ -38,19 +38,19 @@ def measure_plant_loads(rig_name: str, robot_name: str, seconds: float = 2.0) ->
     driven = np.tile(wave, (len(plant.loads), 1))
     pieces = round(seconds * plant.rate / PIECE)
 
-    def load(currents: np.ndarray, *, heard: bool = False, turning: bool = False) -> float:
+    def load(currents: np.ndarray, *, read: bool = False, turning: bool = False) -> float:
         begin = time.process_time()
         for k in range(pieces):
             if turning:
                 plant.set_magnet(2 * np.pi * 0.25 * k * PIECE / plant.rate, 0.0, near=True)
             plant.advance(currents)
-            if heard:
+            if read:
                 plant.read_volts(plant.played - PIECE, PIECE)
         return (time.process_time() - begin) * plant.rate / (pieces * PIECE)
 
     with closing(plant.carrier):
-        load(still, heard=True), load(driven)  # compiled
-        found = {"idle": load(still), "driven": load(driven), "idle and heard": load(still, heard=True)}
+        load(still, read=True), load(driven)  # compiled
+        found = {"idle": load(still), "driven": load(driven), "idle and read": load(still, read=True)}
         if rig.sections.magnet is not None:
             found["magnet turning"] = load(still, turning=True)
     return found

@@ -175,12 +175,12 @@ def main() -> None:
             f"{with_.size / 1e6:.1f} MB",
             file=err, flush=True,
         )  # fmt: skip
-    told = compute_figures(found)
-    for name, value in told.items():
+    figures = compute_figures(found)
+    for name, value in figures.items():
         shown = value if not isinstance(value, dict) else ", ".join(f"{k} {v:.3f}" for k, v in value.items())
         print(f"{name:30} {shown if not isinstance(shown, float) else format(shown, '.3g')}", file=err)
     if given.json:
-        print(json.dumps({**told, "flights": [asdict(f) for pair in found for f in pair]}))
+        print(json.dumps({**figures, "flights": [asdict(f) for pair in found for f in pair]}))
 
 
 if __name__ == "__main__":

@@ -76,12 +76,12 @@ class FitErrors:
     localizer : Localizer
         With assumed sensors, device, estimator and transients.
     rig : RigConfig
-    heard : Heard
+    source : SignalSource
     rng : numpy.random.Generator
     """
 
     def __init__(self, localizer: Localizer, rig: RigConfig, source: SignalSource, rng: np.random.Generator) -> None:
-        self._localizer, self._rig, self._heard, self._rng = localizer, rig, source, rng
+        self._localizer, self._rig, self._source, self._rng = localizer, rig, source, rng
         self._models: dict[tuple[int, float], _Model] = {}
 
     def sample(
@@ -109,22 +109,22 @@ class FitErrors:
 
         Returns
         -------
-        Fitted
+        SyntheticFit
         """
         key = half_periods, round(time_since_drive, SINCE_DIGITS)
         if key not in self._models:
-            self._models[key] = _Model(self._localizer, self._rig, self._heard, half_periods, time_since_drive)
+            self._models[key] = _Model(self._localizer, self._rig, self._source, half_periods, time_since_drive)
         model = self._models[key]
         phase = int(N_PHASES * self._rng.random())
         white = self._rng.standard_normal(model.n_out)
         noise = white if model.noise_factor is None else model.noise_factor @ white
         rotation = matrix_from_quaternion(orientation)
         size = max(amplitude, MIN_AMPLITUDE) / basis.REFERENCE_ANGLE
-        believed, true = model.assumed, model.true
-        kernels.compute_series(*believed.magnet, *model.nodes, position, rotation, believed.values, believed.slopes)
+        assumed, true = model.assumed, model.true
+        kernels.compute_series(*assumed.magnet, *model.nodes, position, rotation, assumed.values, assumed.slopes)
         kernels.compute_series(*true.magnet, *model.nodes, position, rotation, true.values, true.slopes)
         change, spread, sse, total = compute_linear_fit(
-            believed.values, believed.slopes, true.values, *model.waves[phase], size, noise, *model.belief,
+            assumed.values, assumed.slopes, true.values, *model.waves[phase], size, noise, *model.belief,
             basis.REFERENCE_ANGLE,
         )  # fmt: skip
         turned = multiply_quaternions(quaternion_from_rotation_vector(change[3:6]), orientation)
@@ -146,7 +146,7 @@ class _Model:
     """A localizer's linear model for recordings of one kind, with its response at each of the sampled phases."""
 
     def __init__(
-        self, localizer: Localizer, rig: RigConfig, heard: SignalSource, half_periods: int, since: float
+        self, localizer: Localizer, rig: RigConfig, source: SignalSource, half_periods: int, since: float
     ) -> None:
         rate, sensors, device = rig.sample_rate, localizer.sensors, localizer.device
         n_samples = round(half_periods * rate / (2.0 * device.frequency))
@@ -157,7 +157,7 @@ class _Model:
             trend = localizer.free_trend(Recording(np.zeros((len(sensors), n_samples)), rate, since))
             # the cached function would keep the noise of every seed
             build = make_whitened_model.__wrapped__
-            model = build(sensors, device, heard.noise, everyone, n_samples, rate, since, trend, localizer.transients)
+            model = build(sensors, device, source.noise, everyone, n_samples, rate, since, trend, localizer.transients)
         else:
             model = make_paper_model(sensors, device, everyone, n_samples, rate, since)
             parts = compute_noise_parts(sensors, make_noise_levels(rig), model.chain, rate, model.mixing)
@@ -168,7 +168,7 @@ class _Model:
         self._white = model.white
         self.n_out = len(model.matrix)
         self.assumed = _Series(model.positions, model.axes, device.moment * device.moment_in_body, device.l0)
-        self.true = _Series(heard.positions, heard.axes, heard.moment, heard.l0)
+        self.true = _Series(source.positions, source.axes, source.moment, source.l0)
         self.nodes = basis.compute_nodes() * basis.REFERENCE_ANGLE, basis.compute_power_matrix()
         self.belief: tuple[float, float] = (float(model.amplitude_prior[0]), float(model.amplitude_prior[1]))
         self.waves = [_compute_responses(model, math.pi * k / N_PHASES) for k in range(N_PHASES)]

@@ -139,8 +139,10 @@ def _compute_rates(
     swung: float,
     out: FloatArray,
 ) -> None:
-    """Fill `out` (8,) with velocity (3, m/s, world), change of the quaternion (4, 1/s), and by what share the field
-    stiffens the cantilever; `s[DEFLECTION]` with the deflection.
+    """Compute the rates of motion of a state.
+
+    `out` (8,) receives velocity (3, m/s, world), change of the quaternion (4, 1/s), and the share by which the field
+    stiffens the cantilever; `s[DEFLECTION]` receives the deflection.
 
     The cantilever rests where spring and field balance: ``k theta = m B . (y x m_dir) + F . (y x r)``, up to its stop.
     `swung`, in rad, is the mean over the step of its swing about there.

@@ -70,7 +70,7 @@ def compute_linear_fit(
         for k in range(1, n_powers):
             grown = k * power * values[c, k]
             power *= size
-            level, heard = power * values[c, k], power * truth[c, k]
+            level, measured = power * values[c, k], power * truth[c, k]
             s0, s1, s2 = power * slopes[c, k, 0], power * slopes[c, k, 1], power * slopes[c, k, 2]
             s3, s4, s5 = power * slopes[c, k, 3], power * slopes[c, k, 4], power * slopes[c, k, 5]
             for i in range(n_out):  # along memory
@@ -83,8 +83,8 @@ def compute_linear_fit(
                 jacobian[5, i] += s5 * w
                 jacobian[6, i] += level * ahead[row, i]
                 jacobian[7, i] += grown * w
-                residual[i] += (heard - level) * w
-                data[i] += heard * w
+                residual[i] += (measured - level) * w
+                data[i] += measured * w
             row += 1
     normal, gradient = np.empty((N_PARAMETERS, N_PARAMETERS)), np.empty(N_PARAMETERS)
     for a in range(N_PARAMETERS):

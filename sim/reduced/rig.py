@@ -93,16 +93,24 @@ class ReducedRig:
         self._open = True
 
     def make_synthetic_localizer(self, localizer: PoseEstimator) -> SyntheticLocalizer:
-        """What takes the place of `localizer`; from now on the rig errs as that one would.
+        """Make the localizer of this rig: it returns poses with the errors that `localizer` would make.
+
+        Parameters
+        ----------
+        localizer : PoseEstimator
+
+        Returns
+        -------
+        SyntheticLocalizer
 
         Raises
         ------
         InputError
-            If it is none of ours: how it errs is not known.
+            If it is no `Localizer`: its errors are not known.
         """
         if not isinstance(localizer, Localizer):
             raise InputError(
-                f"The reduced plant knows how whitened and paper err, and nothing of {type(localizer).__name__}. Fly "
+                f"The reduced plant models the errors of whitened and paper, not of {type(localizer).__name__}. Fly "
                 "it in the full tank: --plant full."
             )
         plant, truth = self._plant, self._plant.truth
@@ -112,9 +120,9 @@ class ReducedRig:
         phasors = sensors.field_noise.amplitudes[:lines] / gains
         room = make_true_noise_model(self._rig, truth.noise, truth.mains_frequency, phasors)
         moment = device.moment * device.moment_in_body
-        heard = SignalSource(sensors.positions, sensors.axes / gains[:, None], moment, device.l0, room)
+        source = SignalSource(sensors.positions, sensors.axes / gains[:, None], moment, device.l0, room)
         constants = tuple(c.time_constant for c in self._rig.sections.excitation)
-        self._errors = FitErrors(localizer, self._rig, heard, self._rng)
+        self._errors = FitErrors(localizer, self._rig, source, self._rng)
         return SyntheticLocalizer(localizer.sensors, localizer.device, localizer.volume, constants)
 
     def now(self) -> float:

@@ -185,14 +185,14 @@ def calibrate_localizers(
         damping=float(np.mean([r.damping for r in rang])),
     )
     track: list[Pose] = []
-    heard: list[Recording] = []
+    recordings: list[Recording] = []
     for _ in range(STAGE_POSES):
         position = np.array([*rng.uniform(-STAGE_WIDTH, STAGE_WIDTH, 2), rng.uniform(*STAGE_HEIGHTS)])
         turn = rng.standard_normal(4)
         orientation = turn / np.linalg.norm(turn)
-        heard.append(bench.record(position, orientation, STAGE_HALF_PERIODS))
-        track.append(Pose(heard[-1].middle, position, orientation, np.eye(6) * 1e-12))
-    correction = calibrate_sensors(heard, track, bench.sensors, device)
+        recordings.append(bench.record(position, orientation, STAGE_HALF_PERIODS))
+        track.append(Pose(recordings[-1].middle, position, orientation, np.eye(6) * 1e-12))
+    correction = calibrate_sensors(recordings, track, bench.sensors, device)
     noise = NoiseModel.learn([correction.correct_recording(q) for q in bench.record_background(QUIET_SECONDS)])
     return {e: Localizer(correction.sensors, device, noise, e) for e in estimators}, correction
 

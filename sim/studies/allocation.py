@@ -113,17 +113,17 @@ def find_strongest(pull: Pull, toward: FloatArray, misses: FloatArray, rng: np.r
     low, high = pull.low, pull.high
     n = len(low)
     kind = rng.integers(0, 3, (TRIES, n))
-    drawn = np.where(kind == 0, low, np.where(kind == 1, high, rng.uniform(low, high, (TRIES, n))))
-    drawn = _stretch_currents(drawn[np.any(drawn != 0.0, axis=1)], high)
-    field, force = pull(drawn)
+    currents = np.where(kind == 0, low, np.where(kind == 1, high, rng.uniform(low, high, (TRIES, n))))
+    currents = _stretch_currents(currents[np.any(currents != 0.0, axis=1)], high)
+    field, force = pull(currents)
     kept = pull.is_allowed(field, force)
-    drawn, force = drawn[kept], force[kept, :2]
+    currents, force = currents[kept], force[kept, :2]
     size, angle = np.linalg.norm(force, axis=1), np.arctan2(force[:, 1], force[:, 0])
     parents = np.zeros((len(toward), KEPT, n))
     for k, way in enumerate(toward):
         near = np.flatnonzero(np.abs(_wrap_angle(angle - way)) < misses[k] + NEAR)
         best = near[np.argsort(size[near])[-KEPT:]]
-        parents[k, : len(best)] = drawn[best]
+        parents[k, : len(best)] = currents[best]
     for share in STEPS:
         change = share * high * rng.standard_normal((len(toward), KEPT, CHILDREN, n))
         change *= rng.random(change.shape) < CHANGED
@@ -161,7 +161,7 @@ def _wrap_angle(angle: FloatArray) -> FloatArray:
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def find_least_heat(pull: Pull, way: FloatArray, wanted: float, miss: float, rng: np.random.Generator) -> float:
+def find_least_heat(pull: Pull, way: FloatArray, requested: float, miss: float, rng: np.random.Generator) -> float:
     """Find the smallest sum of squared currents for a force, by SLSQP from many starts.
 
     Parameters
@@ -169,7 +169,7 @@ def find_least_heat(pull: Pull, way: FloatArray, wanted: float, miss: float, rng
     pull : Pull
     way : ndarray, shape (3,)
         Unit vector of the force.
-    wanted : float, in N
+    requested : float, in N
     miss : float, in rad
         Tolerated angle.
     rng : numpy.random.Generator
@@ -184,8 +184,8 @@ def find_least_heat(pull: Pull, way: FloatArray, wanted: float, miss: float, rng
 
     def rules(currents: FloatArray) -> FloatArray:
         field, force = (rows[0] for rows in pull(currents[None, :]))
-        along = (force[:2] @ way) / wanted
-        across = (way[0] * force[1] - way[1] * force[0]) / wanted
+        along = (force[:2] @ way) / requested
+        across = (way[0] * force[1] - way[1] * force[0]) / requested
         level = np.linalg.norm(field[:2]) + 1e-12
         head = field[:2] @ way / level if pull.own.head_first else 1.0
         slack = np.tan(miss) * along
@@ -243,10 +243,10 @@ def run_chunk(chunk: Chunk) -> Columns:
     for k in range(0, DIRECTIONS, EVERY):
         for j, share in enumerate(SHARES):
             if force[k] > 0.0:
-                wanted = share * force[k]
-                used = own.allocate(here, ways[k], wanted)
+                requested = share * force[k]
+                used = own.allocate(here, ways[k], requested)
                 least = find_least_heat(
-                    pull, ways[k, :2], wanted, max(used.direction_error, np.arctan(DIRECTION_SLACK)), rng
+                    pull, ways[k, :2], requested, max(used.direction_error, np.arctan(DIRECTION_SLACK)), rng
                 )
                 heat[k, j] = used.currents @ used.currents / least if np.isfinite(least) else np.nan
     picked, seconds = rng.integers(0, DIRECTIONS, WARM), np.zeros(DIRECTIONS)

@@ -70,14 +70,22 @@ def study(
 
 
 def load_study(name: str) -> Study:
-    """The study of that name, ours or a lab's; its module is imported only now.
+    """Load a study, one of ours or of an installed package.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    Study
 
     Raises
     ------
     InputError
-        If there is none.
+        If no study has that name.
     PluginError
-        If it is none that can be run.
+        If it cannot be imported or is no study.
     """
     known = list_plugins("studies")
     if name not in known:

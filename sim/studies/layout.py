@@ -28,7 +28,7 @@ TEST_DRAWS = 100
 """First noise draw for the final evaluation: other draws than the search used."""
 
 SYSTEMATIC_WEIGHT = 0.1
-"""Weight of the variance from misplaced sensors against that of noise: calibration removes most of it."""
+"""Weight of the variance from misplaced sensors relative to that of noise: calibration removes most of it."""
 
 DESCENTS = 4
 """Searches, each from its own start."""
@@ -74,7 +74,7 @@ def make_window(rig: RigConfig) -> ListeningWindow:
 
     Returns
     -------
-    Window
+    ListeningWindow
     """
     return ListeningWindow(HALF_PERIODS, rig.sample_rate, RING_DOWN)
 
@@ -92,18 +92,18 @@ def run_chunk(chunk: Chunk) -> Columns:
     """
     rig = load_rig_once(chunk["rig"])
     poses = Volume().make_poses(3, 2, 0)
-    judged = LayoutScorer(
-        tuple(make_devices().values()), make_noise_levels(rig), make_window(rig), poses, rig.sensors.bandwidth, Mismatch(),
-        chunk["weight"], NOISE_DRAWS,
+    scorer = LayoutScorer(
+        tuple(make_devices().values()), make_noise_levels(rig), make_window(rig), poses, rig.sensors.bandwidth,
+        Mismatch(), chunk["weight"], NOISE_DRAWS,
     )  # fmt: skip
     rng = np.random.default_rng(chunk.seed)
     own = find_layout(rig.sensors)
     start = (
         own
         if chunk["from_own"] and own is not None
-        else judged.find_best_of_random(len(rig.sensors), RANDOM_STARTS, rng)
+        else scorer.find_best_of_random(len(rig.sensors), RANDOM_STARTS, rng)
     )
-    search = Search(judged, start, rng)
+    search = Search(scorer, start, rng)
     search.run(chunk["patience"])
     return {
         "descent": np.array([chunk.name]),
@@ -218,10 +218,10 @@ def evaluate_layout(sensors: SensorArray, rig: RigConfig, poses: Poses) -> dict[
     for device in make_devices().values():
         for room in range(NOISE_DRAWS):
             noise = levels.sample_room_model(sensors, TEST_DRAWS + room)
-            judged = evaluate_layout_value(sensors, device, noise, listened, poses, Mismatch())
-            bound.append(judged.bound.position_rms)
-            systematic.append(judged.systematic_rms)
-            correlation.append(np.abs(judged.bound.height_amplitude_correlation))
+            value = evaluate_layout_value(sensors, device, noise, listened, poses, Mismatch())
+            bound.append(value.bound.position_rms)
+            systematic.append(value.systematic_rms)
+            correlation.append(np.abs(value.bound.height_amplitude_correlation))
             reference.append(
                 evaluate_layout_value(sensors, device, noise, listened, center, Mismatch()).bound.position_rms
             )
@@ -232,8 +232,9 @@ def evaluate_layout(sensors: SensorArray, rig: RigConfig, poses: Poses) -> dict[
             )
             paper.append(np.sqrt(np.trace(covariance[:3, :3]) / 3.0))
     out: dict[str, Any] = {
-        "bound_um": 1e6 * _compute_rms(bound), "reference_um": 1e6 * _compute_rms(reference), "systematic_um": 1e6 * _compute_rms(systematic),
-        "correlation": float(np.median(correlation)), "worst_correlation": float(np.max(correlation)),
+        "bound_um": 1e6 * _compute_rms(bound), "reference_um": 1e6 * _compute_rms(reference),
+        "systematic_um": 1e6 * _compute_rms(systematic), "correlation": float(np.median(correlation)),
+        "worst_correlation": float(np.max(correlation)),
         "paper_um": 1e6 * _compute_rms(paper), "worst_bound_um": 1e6 * float(np.max(bound)),
     }  # fmt: skip
     out |= {
@@ -306,8 +307,8 @@ def compute_bound_map(sensors: SensorArray, rig: RigConfig) -> FloatArray:
         for room in range(2)
     ]
     squares = np.mean([b.position_rms**2 for b in found], axis=0).reshape(len(places), len(turns)).mean(axis=1)
-    drawn: FloatArray = 1e6 * np.sqrt(squares).reshape(len(MAP), len(MAP))
-    return drawn
+    errors: FloatArray = 1e6 * np.sqrt(squares).reshape(len(MAP), len(MAP))
+    return errors
 
 
 def draw(outcome: Outcome, path: Path) -> None:

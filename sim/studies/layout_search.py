@@ -45,16 +45,16 @@ PROGRESS = 0.999
 
 @dataclass(frozen=True, eq=False)
 class Share:
-    """What one sensor adds, for each course, phase and pose.
+    """Contribution of one sensor to the information, for each device, phase and pose.
 
     Attributes
     ----------
-    information : ndarray, shape (n_courses, n_poses, 8, 8)
-    lines : ndarray, shape (n_courses, n_poses, 2 n_lines, 8)
+    information : ndarray, shape (n_waveforms, n_poses, 8, 8)
+    lines : ndarray, shape (n_waveforms, n_poses, 2 n_lines, 8)
         Unknowns against cosine and sine of each line.
-    crossed : ndarray, shape (n_courses, n_poses, 8, 6)
+    crossed : ndarray, shape (n_waveforms, n_poses, 8, 6)
         Unknowns against the sensor's own errors.
-    line_errors : ndarray, shape (n_courses, n_poses, 2 n_lines, 6)
+    line_errors : ndarray, shape (n_waveforms, n_poses, 2 n_lines, 6)
     """
 
     information: FloatArray
@@ -102,7 +102,7 @@ class LayoutScorer:
     ----------
     devices : sequence of Device
     levels : NoiseLevels
-    window : Window
+    window : ListeningWindow
     poses : Poses
     bandwidth : float, in Hz
     mismatch : Mismatch
@@ -136,7 +136,7 @@ class LayoutScorer:
         frequencies = levels.mains_frequency * self._orders
         wave = np.exp(2j * np.pi * np.outer(block * np.arange(n_blocks), frequencies)) * np.sinc(frequencies * block)
         self._waves = whiten @ np.stack([wave.real, wave.imag], axis=2).reshape(n_blocks, -1)
-        self._courses: list[tuple[Device, FloatArray]] = []  # device, and its whitened functions (n_data, 2 K)
+        self._waveforms: list[tuple[Device, FloatArray]] = []  # device, and its whitened functions (n_data, 2 K)
         self._amplitude = devices[0].theta_max / time_functions.REFERENCE_ANGLE
         for device in devices:
             basis = time_functions.compute_time_basis(device, chain, window.sample_rate, window.since, bandwidth)
@@ -146,7 +146,7 @@ class LayoutScorer:
                 turned = basis * np.exp(harmonics * phase)[None, :, None]
                 now = size_k[:, None] * np.real(turned.sum(axis=1))
                 ahead = size_k[:, None] * np.real((harmonics[None, :, None] * turned).sum(axis=1))
-                self._courses.append((device, whiten @ np.concatenate([now, ahead]).T))
+                self._waveforms.append((device, whiten @ np.concatenate([now, ahead]).T))
 
     def compute_share(self, place: FloatArray, axis: int) -> Share:
         """Compute the contribution of one sensor.
@@ -162,19 +162,19 @@ class LayoutScorer:
         """
         sensor = SensorArray(np.array([[*place, 0.0]]), AXES[[axis]], self.bandwidth)
         parts: list[tuple[FloatArray, ...]] = []
-        for number, (device, functions) in enumerate(self._courses):
+        for number, (device, functions) in enumerate(self._waveforms):
             if number % N_PHASES == 0:
                 columns, errors = self._compute_columns(sensor, device)
-            gram, heard = functions.T @ functions, self._waves.T @ functions
-            seen = gram @ columns
+            gram, on_waves = functions.T @ functions, self._waves.T @ functions
+            on_columns = gram @ columns
             parts.append((
-                np.swapaxes(columns, 1, 2) @ seen, heard @ columns,
-                np.swapaxes(seen, 1, 2) @ errors, heard @ errors,
+                np.swapaxes(columns, 1, 2) @ on_columns, on_waves @ columns,
+                np.swapaxes(on_columns, 1, 2) @ errors, on_waves @ errors,
             ))  # fmt: skip
         return Share(*(np.array(group) for group in zip(*parts, strict=True)))
 
     def _compute_columns(self, sensor: SensorArray, device: Device) -> tuple[FloatArray, FloatArray]:
-        """Coefficients (n_poses, 2 K, ·) of the eight unknowns, and of the sensor's six errors."""
+        """Compute coefficients (n_poses, 2 K, ·) of the eight unknowns, and of the sensor's six errors."""
         places, turns = self.poses.positions, self.poses.rotations
         values, slopes = (a[:, 0] for a in compute_channel_series(sensor, device, places, turns))
         n_poses, n_powers = values.shape
@@ -249,9 +249,9 @@ class LayoutScorer:
             mixers = [_make_mixer(phasors[:, j]) for j in range(len(sensors))]
             # noise of the lines of the mains, by the Woodbury identity
             inside = np.linalg.inv(np.eye(len(overlap)) + sum(m @ overlap @ m.T for m in mixers))
-            heard = np.sum([m @ s.lines for m, s in zip(mixers, shares, strict=True)], axis=0)
-            left = np.swapaxes(heard, -1, -2) @ inside
-            covariance = _invert(information - left @ heard)
+            on_waves = np.sum([m @ s.lines for m, s in zip(mixers, shares, strict=True)], axis=0)
+            left = np.swapaxes(on_waves, -1, -2) @ inside
+            covariance = _invert(information - left @ on_waves)
             total += float(np.mean(np.einsum("cpaa->cp", covariance[..., :3, :3])))
             if self.weight > 0.0:
                 for mixer, share in zip(mixers, shares, strict=True):
@@ -261,7 +261,7 @@ class LayoutScorer:
 
 
 def _make_mixer(phasors: npt.NDArray[np.complex128]) -> FloatArray:
-    """How one sensor's cosine and sine of each line enter the lines' two quadratures, (2 L, 2 L)."""
+    """Make the matrix (2 L, 2 L) from one sensor's cosine and sine of each line to the lines' two quadratures."""
     out = np.zeros((2 * len(phasors), 2 * len(phasors)))
     for i, a in enumerate(phasors):
         out[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = np.array([[a.real, -a.imag], [a.imag, a.real]]) / np.sqrt(2.0)
@@ -280,16 +280,16 @@ class Search:
 
     Parameters
     ----------
-    judge : Judge
+    scorer : LayoutScorer
     start : Layout
     rng : numpy.random.Generator
     """
 
-    def __init__(self, judge: LayoutScorer, start: Layout, rng: np.random.Generator) -> None:
-        self._judge, self._rng = judge, rng
+    def __init__(self, scorer: LayoutScorer, start: Layout, rng: np.random.Generator) -> None:
+        self._scorer, self._rng = scorer, rng
         self.layout, self.steps = start, 0
-        self.shares = judge.compute_shares(start)
-        self.score = judge.compute_score(start, self.shares)
+        self.shares = scorer.compute_shares(start)
+        self.score = scorer.compute_score(start, self.shares)
 
     def step(self) -> bool:
         """Try one change.
@@ -317,9 +317,10 @@ class Search:
         if not layout.is_allowed():
             return False
         shares = [
-            self._judge.compute_share(places[j], int(axes[j])) if j in changed else s for j, s in enumerate(self.shares)
+            self._scorer.compute_share(places[j], int(axes[j])) if j in changed else s
+            for j, s in enumerate(self.shares)
         ]
-        score = self._judge.compute_score(layout, shares)
+        score = self._scorer.compute_score(layout, shares)
         self.steps += 1
         if score >= self.score:
             return False

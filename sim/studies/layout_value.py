@@ -26,7 +26,7 @@ N_PHASES = 2
 
 @dataclass(frozen=True)
 class Mismatch:
-    """How far sensors are off, one standard deviation: m per axis, share of the gain, rad per axis."""
+    """Errors of a sensor, one standard deviation: m per axis, share of the gain, rad per axis."""
 
     place: float = 0.2e-3
     gain: float = 0.005
@@ -35,7 +35,7 @@ class Mismatch:
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Positions (n, 3) in m and rotation matrices (n, 3, 3) that a layout is judged by."""
+    """Positions (n, 3) in m and rotation matrices (n, 3, 3) on which a layout is evaluated."""
 
     positions: FloatArray
     rotations: FloatArray
@@ -82,7 +82,7 @@ class LayoutValue:
     ----------
     bound : Bound
     systematic : ndarray, shape (n, 3, 3), in m²
-        Covariance of position errors that sensors out of place and gain leave, over layouts drawn anew.
+        Covariance of position errors that misplaced sensors and wrong gains leave, over sampled layouts.
     """
 
     bound: Bound
@@ -104,13 +104,13 @@ def evaluate_layout_value(
     sensors : SensorArray
     device : Device
     noise : NoiseModel
-    window : Window
+    window : ListeningWindow
     poses : Poses
     mismatch : Mismatch
 
     Returns
     -------
-    Judgement
+    LayoutValue
     """
     response = Response(sensors, device, noise, window)
     values, slopes = response.compute_series(poses.positions, poses.rotations)
@@ -134,7 +134,7 @@ def evaluate_layout_value(
 def _differentiate_by_sensors(
     sensors: SensorArray, device: Device, poses: Poses, mismatch: Mismatch, values: FloatArray, slopes: FloatArray
 ) -> FloatArray:
-    """What one standard deviation of each sensor's six errors does to its power series, (n, n_sensors, K, 6)."""
+    """Compute what one sigma of each sensor's six errors adds to its power series, shape (n, n_sensors, K, 6)."""
     parts = [mismatch.place * slopes[..., i] for i in range(3)] + [mismatch.gain * values]
     for side in find_side_axes(sensors.axes):
         tilted = compute_channel_series(replace(sensors, axes=side), device, poses.positions, poses.rotations)[0]

@@ -28,8 +28,8 @@ class StudyFolder:
     Parameters
     ----------
     path : Path
-    asked : mapping
-        What decides the result (`Options.asked`).
+    deciding : mapping
+        The options that decide the result (`Options.list_deciding`).
     resume : bool
         Go on with what is there; without it the folder must be new or empty.
 
@@ -39,8 +39,8 @@ class StudyFolder:
         If the folder holds something else than this study, or cannot be made.
     """
 
-    def __init__(self, path: Path, asked: Mapping[str, Any], *, resume: bool = False) -> None:
-        self.path, self.asked = path, dict(asked)
+    def __init__(self, path: Path, deciding: Mapping[str, Any], *, resume: bool = False) -> None:
+        self.path, self.deciding = path, dict(deciding)
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file; name a folder for the study.")
         if path.is_dir() and any(path.iterdir()):
@@ -49,14 +49,14 @@ class StudyFolder:
             self._check()
         with report_write_errors(path, "the study's folder", "made"):
             (path / "chunks").mkdir(parents=True, exist_ok=True)
-        self._write_json("asked.json", self.asked)
+        self._write_json("asked.json", self.deciding)
 
     def _check(self) -> None:
         try:
             found = json.loads((self.path / "asked.json").read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise InputError(f"{self.path}: contains no study that can be resumed (asked.json: {error}).") from error
-        ours = json.loads(json.dumps(self.asked))
+        ours = json.loads(json.dumps(self.deciding))
         keys = [k for k in {**ours, **found} if ours.get(k) != found.get(k)]
         if keys:
             differ = "; ".join(f"{k} was {found.get(k)!r}, is {ours.get(k)!r}" for k in sorted(keys))
@@ -164,14 +164,14 @@ def run_chunks(
         kept = folder.load(chunk.name) if folder is not None else None
         if kept is not None:
             found[index] = kept
-    tell = progress or (lambda done, total: None)
-    tell(len(found), len(chunks))
+    report = progress or (lambda done, total: None)
+    report(len(found), len(chunks))
 
     def done(index: int, columns: Columns) -> None:
         found[index] = columns
         if folder is not None:
             folder.save(chunks[index].name, columns)
-        tell(len(found), len(chunks))
+        report(len(found), len(chunks))
 
     left = [i for i in range(len(chunks)) if i not in found]
     if executor is None:

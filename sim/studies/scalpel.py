@@ -146,9 +146,9 @@ def compute_static_error(
     ndarray, shape (3,), in m
     """
     null = bench.record_background(STATIC_SECONDS)[0].field.mean(axis=1)
-    heard = bench.record(position, orientation, 1, amplitude=0.0, disturbance=disturbance).field.mean(axis=1)
+    measured = bench.record(position, orientation, 1, amplitude=0.0, disturbance=disturbance).field.mean(axis=1)
     direction = matrix_from_quaternion(orientation) @ bench.device.moment_in_body
-    found, _ = fit_static(bench.sensors, heard - null, bench.device.moment, position, direction)
+    found, _ = fit_static(bench.sensors, measured - null, bench.device.moment, position, direction)
     return found - position
 
 
@@ -228,7 +228,8 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
             cases.append({
                 "method": method, "moment_ma_m2": moment, "scalpel": passing,
                 "degrees_of_freedom": 5 if method == "static" else 6,
-                "mae_z_mm": _compute_differential_error(part), "rms_z_mm": float(np.sqrt(np.mean(part["error_z_mm"] ** 2))),
+                "mae_z_mm": _compute_differential_error(part),
+                "rms_z_mm": float(np.sqrt(np.mean(part["error_z_mm"] ** 2))),
                 "worst_z_mm": float(np.max(np.abs(part["error_z_mm"]))), "n": len(part["error_z_mm"]),
                 "untrusted": int(np.sum(~part["trusted"].astype(bool))),
             })  # fmt: skip

@@ -27,7 +27,7 @@ arrays of any shape for figures, which ``results.csv`` omits."""
 
 @dataclass(frozen=True)
 class Options:
-    """What a study was asked for; `poses` and `mismatch` None mean the study's own choice.
+    """Options of a study; `poses` and `mismatch` None mean the study's own choice.
 
     `mission`, `own_rig` (instead of the mission's), `settings` laid over it and `weights` of a regulator are of studies
     of a mission.
@@ -69,7 +69,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Chunk:
-    """One piece of a study: `work(chunk)` returns its rows, in whatever process it runs.
+    """One part of a study: `work(chunk)` returns its rows, in whatever process it runs.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class Chunk:
     work : callable
         A module's function, so that it can be sent to another process.
     seed : int
-        All that the piece draws follows from it.
+        Seed of everything that the chunk samples.
     arguments : mapping
         Plain values.
     """
@@ -113,9 +113,9 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Study:
-    """One study: how it is cut into chunks, what they add up to, and how that is drawn.
+    """One study: how it is cut into chunks, how their rows are concluded, and how the result is drawn.
 
-    `estimators` are those that are used where none is asked for. `mission` is true of a study of a mission,
+    `estimators` are used where the options name none. `mission` is true of a study of a mission,
     `rig_of` names the rig that is described, `files` are texts that it leaves beside its figure, by name.
     """
 

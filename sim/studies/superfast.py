@@ -361,8 +361,8 @@ def draw(outcome: Outcome, path: Path) -> None:
     subline = "z = 80 mm, exponential damping 1.6 1/s, steps of 5 mm at up to 200 mm/s; "
     subline += f"{outcome.figures['benches']} benches, {label}"
     with open_slide(path, headline, subline, 1, 2, width_ratios=[1.25, 1.0]) as (left, right):
-        seen = select_rows(columns, moving=True, estimator=best, half_periods=4)
-        one = select_rows(seen, bench=seen["bench"][0])
+        selected = select_rows(columns, moving=True, estimator=best, half_periods=4)
+        one = select_rows(selected, bench=selected["bench"][0])
         fine = np.linspace(0.0, SECONDS, 1200)
         left.plot(fine, 1e3 * (make_stepping_track(fine)[0][:, 0] + 0.5 * TRAVEL), color="#222222", lw=1.6, zorder=1)
         left.plot(one["time_s"], np.clip(one["x_mm"], -8, 66), "o", ms=4.5, color=COLORS[best], alpha=0.85, mew=0)
@@ -395,8 +395,8 @@ def draw(outcome: Outcome, path: Path) -> None:
 
 
 def _find_rest_case(cases: list[dict[str, Any]], estimator: str, length: int) -> dict[str, Any]:
-    wanted = {"kind": "rest", "damping": "exponential", "estimator": estimator, "half_periods": length}
-    return next(c for c in cases if wanted.items() <= c.items())
+    key = {"kind": "rest", "damping": "exponential", "estimator": estimator, "half_periods": length}
+    return next(c for c in cases if key.items() <= c.items())
 
 
 STUDY = Study(

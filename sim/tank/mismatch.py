@@ -200,7 +200,7 @@ class RandomStreams:
 
         Returns
         -------
-        Streams
+        RandomStreams
         """
         return cls(*(np.random.Generator(np.random.SFC64(s)) for s in np.random.SeedSequence(seed).spawn(5)))
 
@@ -220,14 +220,14 @@ def sample_truth(
     n_coils : int
         Number of coils, excitation coils included.
     n_sensors : int
-    streams : Streams
+    streams : RandomStreams
         Advanced by the call.
     ideal : bool
         Use the scale 0.
 
     Returns
     -------
-    Truth
+    TankTruth
     """
     section = settings.mismatch
     spreads = MismatchSampler(streams.mismatch, 0.0 if ideal else section.scale)

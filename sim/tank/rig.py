@@ -121,14 +121,14 @@ class TankRig(Closeable):
         for window in shot.windows:
             if isinstance(window, MoveMagnet):  # an interrupted move leaves the magnet near
                 self._magnet_near = True
-        self._stopped, heard = False, None
+        self._stopped, recording = False, None
         played = tank.advance(windows)
         if played:
             self._magnet_near = is_magnet_near_after(shot, near=self._magnet_near)
-            heard = self._make_recording(shot, begin)
+            recording = self._make_recording(shot, begin)
         if self._stopped or not played:  # during motion, or while samples were computed
             raise RigError(f"Stopped at {tank.time:.3f} s, during a shot; every output is at zero.")
-        return heard
+        return recording
 
     def probe(self, coil: str, current: float) -> Probe:
         """Hold one coil at a small current and record the sensors meanwhile.
@@ -164,8 +164,8 @@ class TankRig(Closeable):
                 f"Stopped at {tank.time:.3f} s, while {coil} was probed; every output is at zero.", channel=coil
             )
         field, saturated = tank.measure(begin, round((BASELINE_DURATION + HOLD_DURATION + DECAY_DURATION) * self._rate))
-        heard = Recording(field / self._gains, self._rate, math.inf, saturated, None, begin)
-        return Probe(heard, BASELINE_DURATION, BASELINE_DURATION + HOLD_DURATION)
+        recording = Recording(field / self._gains, self._rate, math.inf, saturated, None, begin)
+        return Probe(recording, BASELINE_DURATION, BASELINE_DURATION + HOLD_DURATION)
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
         """Return the nominal field of the excitation coils at a point.
@@ -204,7 +204,7 @@ class TankRig(Closeable):
         return {"seed": self._seed, "ideal": self._ideal, **self._tank.list_mismatches()}
 
     def _make_recording(self, shot: Shot, begin: float) -> Recording | None:
-        heard: Recording | None = None
+        recording: Recording | None = None
         for at, window in shot.timed():
             start = begin + at
             if isinstance(window, Excite):
@@ -214,5 +214,5 @@ class TankRig(Closeable):
                 since = start - self._last_drive[1] if drive is not None and self._last_drive else math.inf
                 n = round(window.duration * self._rate)
                 field, saturated = self._tank.measure(start, n)
-                heard = Recording(field / self._gains, self._rate, since, saturated, drive, start)
-        return heard
+                recording = Recording(field / self._gains, self._rate, since, saturated, drive, start)
+        return recording

@@ -71,7 +71,7 @@ class StaticBench:
     rate : float, in Hz
     clock : float, in s
         Bench time; runs on from recording to recording.
-    truth : Truth
+    truth : TankTruth
     true_device : Device
         As sampled. For a study's evaluation only, like `true_sensors` and `last_oscillation`.
     true_sensors : TrueSensors
@@ -268,9 +268,9 @@ class StaticBench:
         )
 
     def _sample_oscillation(self, amplitude: float | None, phase: float | None) -> TrueOscillation:
-        drawn = float(self._rng.uniform(-np.pi, np.pi))  # sampled even if given: what follows does not change
+        sampled = float(self._rng.uniform(-np.pi, np.pi))  # sampled even if given: what follows does not change
         size = self.true_device.theta_max if amplitude is None else amplitude
-        self.last_oscillation = TrueOscillation(size, drawn if phase is None else phase)
+        self.last_oscillation = TrueOscillation(size, sampled if phase is None else phase)
         return self.last_oscillation
 
     def _compute_clean_field(

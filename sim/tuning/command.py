@@ -42,16 +42,17 @@ def tune(
         raise InputError("--resume needs --out, the folder of the search to go on with.")
     settings = parse_settings(set_)
     name = load_steering_mission(mission, rig, settings).name
-    with show_bar(name, total=trials) as tell:
+    with show_bar(name, total=trials) as update:
 
         def progress(done: int, best: float | None) -> None:
-            cost = "no trial whole yet" if best is None else f"best {best:.3f} mm"
-            tell(completed=done, description=f"{name}: {cost}")
+            cost = "no trial complete yet" if best is None else f"best {best:.3f} mm"
+            update(completed=done, description=f"{name}: {cost}")
 
         found = search_gains(
             mission, trials=trials, worlds=worlds, held_out=held_out, plant=plant.value,
             only=[gain.strip() for gain in only.split(",")] if only else None, seed=seed, rig=rig, jobs=jobs,
-            scheduler=scheduler, out=out or make_dated_path(f"tune-{name}"), resume=resume, settings=settings, progress=progress,
+            scheduler=scheduler, out=out or make_dated_path(f"tune-{name}"), resume=resume, settings=settings,
+            progress=progress,
         )  # fmt: skip
     _show(found.figures(), json)
     raise typer.Exit(0 if found.improved else 1)

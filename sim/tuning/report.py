@@ -99,7 +99,17 @@ def write_trials(study: Study, path: Path) -> None:
 
 
 def draw(study: Study, shares: Mapping[str, float], tuned: Flown, before: Flown, headline: str, path: Path) -> None:
-    """Cost of every trial with the best so far; what each gain matters; held-out simulations, before and after."""
+    """Draw the cost of every trial, the importance of each gain, and the held-out simulations before and after.
+
+    Parameters
+    ----------
+    study : optuna.Study
+    shares : mapping of str to float
+        Importance of each gain.
+    tuned, before : Flown
+    headline : str
+    path : Path
+    """
     from matplotlib.ticker import MaxNLocator
 
     from sim.batch.slide import LIMIT, PAPER, WHITENED, open_slide, set_titles
@@ -107,16 +117,16 @@ def draw(study: Study, shares: Mapping[str, float], tuned: Flown, before: Flown,
     trials: list[Any] = [t for t in list_finished(study)]
     numbers = np.array([t.number for t in trials])
     costs = np.array([t.value if t.value is not None else list(t.intermediate_values.values())[-1] for t in trials])
-    whole = np.array([t.state.name == "COMPLETE" for t in trials])
-    best = np.minimum.accumulate(np.where(whole, costs, np.inf))
+    complete = np.array([t.state.name == "COMPLETE" for t in trials])
+    best = np.minimum.accumulate(np.where(complete, costs, np.inf))
     now, after = before.figures(), tuned.figures()
     subline = (
         f"{len(trials)} trials; held-out simulations in the full tank: passed {now['passed']} of {now['flown']} "
         f"before, {after['passed']} of {after['flown']} tuned"
     )
     with open_slide(path, headline, subline, 1, 3, wspace=0.45, left=0.06) as (left, middle, right):
-        left.scatter(numbers[whole], costs[whole], s=18, color=WHITENED, alpha=0.6, label="flown in every world")
-        left.scatter(numbers[~whole], costs[~whole], s=14, color=LIMIT, alpha=0.6, label="given up")
+        left.scatter(numbers[complete], costs[complete], s=18, color=WHITENED, alpha=0.6, label="flown in every world")
+        left.scatter(numbers[~complete], costs[~complete], s=14, color=LIMIT, alpha=0.6, label="given up")
         left.step(numbers, best, where="post", color=PAPER, lw=2, label="best so far")
         left.set_yscale("log")
         left.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from optuna import Study, Trial
 
 BATCH = 4
-"""Trials that are asked for together."""
+"""Trials that are requested together."""
 
 RUNG = 3
 """Worlds after each of which a trial may be given up."""
@@ -44,8 +44,8 @@ class Problem:
     start : mapping of str to float
         Values that the mission flies with now.
     worlds : sequence of int
-        Seeds of the drawn worlds.
-    plant : Plant
+        Seeds of the worlds.
+    plant : PlantModel
     """
 
     mission: str
@@ -71,14 +71,26 @@ class Problem:
 
 
 def open_study(path: Path | None, seed: int, name: str, *, resume: bool) -> Study:
-    """The journal at `path` as an Optuna study, or one in memory.
+    """Open or create an Optuna study. Trials that a killed process left running count as failed.
 
-    Trials that a killed process left running count as failed.
+    Parameters
+    ----------
+    path : Path or None
+        Of its journal; None keeps it in memory.
+    seed : int
+    name : str
+        What is searched; a resumed journal must have the same.
+    resume : bool
+        Whether the journal exists.
+
+    Returns
+    -------
+    optuna.Study
 
     Raises
     ------
     InputError
-        If there is none to resume, or one is there already.
+        If no such search can be resumed.
     """
     import optuna
     from optuna.storages import JournalStorage

@@ -10,8 +10,7 @@ from sim.batch.executors import open_executor
 from sim.batch.flights import PlantModel, forget_missions
 from sim.tuning.report import compute_importances, draw, format_tuned_gains, write_trials
 from sim.tuning.search import Problem, list_finished, open_study, run_search
-from sim.tuning.verdict import FIRST_HELD_OUT, is_better
-from sim.tuning.verdict import fly_held_out as confirm
+from sim.tuning.verdict import FIRST_HELD_OUT, fly_held_out, is_better
 from smolbot.config.mission import Mission, load_steering_mission
 from smolbot.config.plugins import load_plugin
 from smolbot.errors import InputError, report_write_errors
@@ -29,7 +28,22 @@ def tune(
     rig: str | None, jobs: int, scheduler: str | None, out: Path | None, resume: bool, settings: Mapping[str, str],
     progress: Callable[[int, float | None], None] | None,
 ) -> Tuning:  # fmt: skip
-    """Tune a mission's gains; parameters and errors as `smolbot.tune` has them."""
+    """Tune a mission's gains.
+
+    Parameters
+    ----------
+    mission, trials, worlds, held_out, plant, only, seed, rig, jobs, scheduler, out, resume, settings, progress
+        As of `smolbot.tune`.
+
+    Returns
+    -------
+    Tuning
+
+    Raises
+    ------
+    InputError
+        For a gain that the law does not have, or a folder that cannot be used.
+    """
     laid = dict(settings)
     loaded = load_steering_mission(mission, rig, laid)
     problem = _problem(loaded, mission, rig, laid, only, worlds, seed, PlantModel(plant))
@@ -43,14 +57,14 @@ def tune(
     kind = f"{loaded.name} {loaded.law} {plant} seed {seed} worlds {worlds} {','.join(problem.gains)}"
     study = open_study(None if out is None else out / JOURNAL, seed, kind, resume=resume)
 
-    def ended(study: Study) -> None:
+    def report_trial(study: Study) -> None:
         costs = [t.value for t in list_finished(study) if t.value is not None]
         if progress is not None:
             progress(len(list_finished(study)), min(costs, default=None))
 
     with open_executor(jobs, scheduler) as executor:
-        run_search(study, problem, trials, executor, ended)
-        before, tuned = confirm(problem, [problem.start, study.best_params], held_out, executor)
+        run_search(study, problem, trials, executor, report_trial)
+        before, tuned = fly_held_out(problem, [problem.start, study.best_params], held_out, executor)
     shares, improved = compute_importances(study), is_better(tuned, before)
     if out is not None:
         write_trials(study, out / "trials.csv")
@@ -59,8 +73,8 @@ def tune(
         draw(study, shares, tuned, before, headline, out / "tune.png")
     tried = tuple(Trial(t.number, t.state.name.lower(), t.value, dict(t.params)) for t in study.get_trials())
     return Tuning(
-        loaded.name, loaded.law, plant, seed, worlds, tried, study.best_value, before.told(), tuned.told(), improved,
-        shares, out,
+        loaded.name, loaded.law, plant, seed, worlds, tried, study.best_value, before.summarize(), tuned.summarize(),
+        improved, shares, out,
     )  # fmt: skip
 
 

@@ -28,10 +28,12 @@ class Flown:
 
     @property
     def passed(self) -> int:
+        """Number of flights that passed."""
         return sum(s["verdict"] == "passed" for s in self.summaries)
 
     @property
     def costs(self) -> list[float]:
+        """Cost of each flight, in mm."""
         return [compute_cost(s) for s in self.summaries]
 
     def figures(self) -> dict[str, Any]:
@@ -41,13 +43,19 @@ class Flown:
         -------
         dict
         """
-        return self.told().figures()
+        return self.summarize().figures()
 
-    def told(self) -> HeldOut:
-        """As `smolbot.tune` hands it out."""
+    def summarize(self) -> HeldOut:
+        """Summarize the flights for `smolbot.tune`.
+
+        Returns
+        -------
+        HeldOut
+        """
         done = [s for s in self.summaries if s["status"] == "completed"]
         return HeldOut(
-            dict(self.gains), len(self.summaries), self.passed, compute_wilson_interval(self.passed, len(self.summaries)),
+            dict(self.gains), len(self.summaries), self.passed,
+            compute_wilson_interval(self.passed, len(self.summaries)),
             float(np.mean(self.costs)), tuple(self.costs), _compute_mean([s["tracking_error_mm"]["rms"] for s in done]),
             _compute_mean([s["duration_s"] for s in done]),
         )  # fmt: skip

@@ -159,15 +159,15 @@ class CardModel:
     Parameters
     ----------
     section : BenchSection
-    plant : Behind
-    between : callable, optional
+    plant : CardPlant
+    before_step : callable, optional
         Called in the card's thread before every step, with the step's end in s: moves the magnet stage.
 
     Attributes
     ----------
     journal : Journal
-    faults : FaultBox
-    monitor : Watch
+    faults : FaultInjector
+    monitor : OutputMonitor
     outputs, clocked : Generation or None
         Playing or armed on the outputs and on the clocked lines.
     inputs : Acquisition or None
@@ -241,7 +241,7 @@ class CardModel:
                 latest = now
                 try:
                     behind = self._play_step()
-                except Exception as error:  # the tank failed: readers are told, the thread does not end silently
+                except Exception as error:  # the tank failed: readers get the error, the thread does not end silently
                     self.failure = f"{type(error).__name__}: {error}"
                     self.journal.add("broken", error=self.failure)
                     self._end, behind = True, False
@@ -527,7 +527,7 @@ class CardModel:
     def read_line(self, name: str) -> bool:
         """Return the level of an input line.
 
-        It does not wait for the card's lock, and waits at most `FRESH` s until the level is up to date.
+        It does not wait for the card's lock, and waits at most `MAX_LINE_WAIT` s until the level is up to date.
 
         Parameters
         ----------
@@ -538,8 +538,8 @@ class CardModel:
         bool
         """
         if name == self.section.relays.all_open:
-            asked = time.monotonic()
-            while self.compute_time(self.plant.played) < asked and time.monotonic() < asked + MAX_LINE_WAIT:
+            requested = time.monotonic()
+            while self.compute_time(self.plant.played) < requested and time.monotonic() < requested + MAX_LINE_WAIT:
                 time.sleep(0.5 * POLL_INTERVAL)
             return self._all_open
         if name == self.section.operator.stop_line:

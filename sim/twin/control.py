@@ -63,12 +63,12 @@ class ControlServer:
 
     def _answer(self, line: str) -> dict[str, Any]:
         try:
-            asked = json.loads(line)
-            handler = self._handlers[asked["do"]]
+            request = json.loads(line)
+            handler = self._handlers[request["do"]]
         except (ValueError, KeyError, TypeError):
             return {"error": f'send one line of JSON with "do": {", ".join(self._handlers)}.'}
         try:
-            return {"ok": handler(asked)}
+            return {"ok": handler(request)}
         except (InputError, RigError, KeyError, TypeError, ValueError) as error:
             return {"error": str(error)}
 

@@ -70,7 +70,7 @@ def parse_fault(text: str) -> InjectedFault:
 
     Returns
     -------
-    Fault
+    InjectedFault
 
     Raises
     ------
@@ -113,7 +113,7 @@ class FaultInjector:
 
     Parameters
     ----------
-    happened : callable
+    on_fault : callable
         Called with the name of each fault as it occurs; it must not block, unlike listeners (see `add_listener`).
     clock : callable
         Returns the time in s.
@@ -141,7 +141,7 @@ class FaultInjector:
 
         Parameters
         ----------
-        fault : Fault
+        fault : InjectedFault
         """
         with self._lock:
             if fault.phase or fault.seconds is not None:

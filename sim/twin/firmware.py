@@ -74,7 +74,7 @@ def build_firmware(source: Path | None = None) -> FirmwareBuild:
 
     Returns
     -------
-    Built
+    FirmwareBuild
 
     Raises
     ------

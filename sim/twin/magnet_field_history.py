@@ -33,11 +33,11 @@ class MagnetFieldHistory:
         field : ndarray, shape (n, 3), in T
             At the sensors, world frame.
         """
-        heard = np.einsum("ij,ij->i", self._axes, field)
+        measured = np.einsum("ij,ij->i", self._axes, field)
         rows = self._rows
-        if len(rows) > 1 and not heard.any() and not rows[-1][1].any() and not rows[-2][1].any():
+        if len(rows) > 1 and not measured.any() and not rows[-1][1].any() and not rows[-2][1].any():
             rows.pop()  # away, as before
-        rows.append((time, heard))
+        rows.append((time, measured))
         while len(rows) > 1 and rows[1][0] < time - self._memory:
             rows.popleft()
 
@@ -57,9 +57,9 @@ class MagnetFieldHistory:
             if row[0] <= clock:
                 break
         near.reverse()
-        if not any(heard.any() for _, heard in near):
+        if not any(measured.any() for _, measured in near):
             return
-        times, heard = np.array([time for time, _ in near]), np.array([heard for _, heard in near])
+        times, measured = np.array([time for time, _ in near]), np.array([measured for _, measured in near])
         at = clock + np.arange(signal.shape[1]) / rate
-        for own, row in zip(signal, heard.T, strict=True):
+        for own, row in zip(signal, measured.T, strict=True):
             own += np.interp(at, times, row)

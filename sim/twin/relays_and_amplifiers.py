@@ -73,10 +73,10 @@ class RelaysAndAmplifiers:
         enabled : ndarray of bool, shape (n,)
         """
         n = len(lines)
-        told = (lines[None, :] >> self._bits[:, None]) & 1 > 0
+        commanded = (lines[None, :] >> self._bits[:, None]) & 1 > 0
         contacts = np.empty((len(self._bits), n), np.bool_)
         for load in range(len(self._bits)):
-            contacts[load] = self._update_relay(load, first, told[load])
+            contacts[load] = self._update_relay(load, first, commanded[load])
         if self.stuck is not None:
             contacts[self.stuck] = True
         self.closed = contacts[:, -1].copy()
@@ -89,15 +89,15 @@ class RelaysAndAmplifiers:
         currents[:, ~enabled] = 0.0
         return currents, contacts, enabled
 
-    def _update_relay(self, load: int, first: int, told: BoolArray) -> BoolArray:
+    def _update_relay(self, load: int, first: int, commanded: BoolArray) -> BoolArray:
         """Compute the contacts of one relay over the samples, given its commanded levels."""
-        n = len(told)
-        if bool(told[0]) != bool(self._commanded[load]) or told.any() != told.all():
-            before = np.concatenate([[self._commanded[load]], told[:-1]])
-            for at in np.flatnonzero(told != before):
-                closes = bool(told[at])
+        n = len(commanded)
+        if bool(commanded[0]) != bool(self._commanded[load]) or commanded.any() != commanded.all():
+            before = np.concatenate([[self._commanded[load]], commanded[:-1]])
+            for at in np.flatnonzero(commanded != before):
+                closes = bool(commanded[at])
                 self._due.append((first + int(at) + (self._close if closes else self._open), load, closes))
-            self._commanded[load] = told[-1]
+            self._commanded[load] = commanded[-1]
         out = np.full(n, self.closed[load] if load != self.stuck else True)
         later = []
         for sample, which, closes in self._due:

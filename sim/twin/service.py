@@ -102,8 +102,8 @@ class TwinServicer(AttributeServicer):
 
         return self._run_call(context, run)
 
-    def _create_task(self, response: Any, wanted: str, kind: str = "") -> Any:
-        task = self.tasks.create(wanted, kind)
+    def _create_task(self, response: Any, name: str, kind: str = "") -> Any:
+        task = self.tasks.create(name, kind)
         return response(task=Session(name=task.name), new_session_initialized=True)
 
     def ClearTask(self, request: Any, context: Any) -> Any:

@@ -99,8 +99,8 @@ class SimulatedUno:
 
         Returns
         -------
-        ndarray of `unostate.EDGE`
-            Cycle, time (CLOCK_MONOTONIC, s), pin (`unostate.PINS`) and level.
+        ndarray of `uno_state.EDGE`
+            Cycle, time (CLOCK_MONOTONIC, s), pin (`uno_state.PINS`) and level.
         """
         return self.state.take_edges()
 

@@ -87,7 +87,7 @@ class SupplyModel:
         Its last digit is the number of outputs.
     max_voltage, max_current : float, in V and A
         Of each output.
-    outputs : list of Output
+    outputs : list of SupplyOutput
     master : bool
         The master switch.
     channel : int

@@ -226,11 +226,11 @@ class Tasks:
             if task.kind == "ai"
             else self.product.max_output_rate
         )
-        wanted = self.card.plant.rate if task.kind == "ai" else self.card.section.outputs.rate_hz
+        expected = self.card.plant.rate if task.kind == "ai" else self.card.section.outputs.rate_hz
         if not 0 < rate <= most:
             raise CardError(UNSUPPORTED, f"Sample rate {rate:g} exceeds the {most:g} Hz that this task can have.")
-        if abs(rate - wanted) > RATE_TOLERANCE * wanted:
-            raise CardError(UNSUPPORTED, f"The twin of this bench runs at {wanted:g} Hz; got {rate:g}.")
+        if abs(rate - expected) > RATE_TOLERANCE * expected:
+            raise CardError(UNSUPPORTED, f"The twin of this bench runs at {expected:g} Hz; got {rate:g}.")
         if count < MIN_SAMPLES:
             raise CardError(UNSUPPORTED, f"A finite task has at least {MIN_SAMPLES} samples per channel.")
         task.rate, task.count, task.source, task.buffer = rate, int(count), source, None

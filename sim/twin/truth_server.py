@@ -30,7 +30,7 @@ class TruthServer:
     host : str
     port : int
         0 takes a free one.
-    drawn : mapping
+    sampled : mapping
         The twin's sampled mismatches; sent first.
 
     Attributes

@@ -88,7 +88,7 @@ class Twin:
         self._warm_up()
         self.card = CardModel(section, self.plant, self._move_magnet_and_publish)
         self.card.faults.add_listener(self._apply_fault)
-        drawn = {"seed": seed, "ideal": settings.mismatch.scale == 0.0, **self.plant.list_mismatches()}
+        mismatches = {"seed": seed, "ideal": settings.mismatch.scale == 0.0, **self.plant.list_mismatches()}
         own = np.random.default_rng([seed, STREAM])
         self._operator = MagnetOperator(rig.magnet.move_s, settings.lateness, own) if section.stage else None
         self._published_until = -math.inf
@@ -97,7 +97,7 @@ class Twin:
         self._closing: list[Any] = []
         self.stage: SimulatedUno | None = None
         try:
-            self.truth = TruthServer(*_parse_address(section.truth), drawn)
+            self.truth = TruthServer(*_parse_address(section.truth), mismatches)
             self._closing.append(self.truth)
             host, port = _parse_address(control)
             handlers = {
@@ -185,16 +185,16 @@ class Twin:
 
         Parameters
         ----------
-        fault : Fault
+        fault : InjectedFault
         """
         self.card.faults.add(fault)
 
-    def _inject(self, asked: Mapping[str, Any]) -> str:
-        self.inject(parse_fault(str(asked["fault"])))
+    def _inject(self, request: Mapping[str, Any]) -> str:
+        self.inject(parse_fault(str(request["fault"])))
         return "waits"
 
-    def _read_log(self, asked: Mapping[str, Any]) -> list[dict[str, Any]]:
-        return self.card.journal.list_since(int(asked.get("since", 0)))
+    def _read_log(self, request: Mapping[str, Any]) -> list[dict[str, Any]]:
+        return self.card.journal.list_since(int(request.get("since", 0)))
 
     def _clear(self, _: Mapping[str, Any]) -> str:
         self.card.faults.clear()

@@ -97,8 +97,8 @@ class TwinPlant(Tank):
                 self._magnet_field.append(self.time, turned.compute_magnet_field(self.sensors.positions))
         at = 0
         while at < count:
-            whole = (count - at) // self._longest
-            n, length = (whole, self._longest) if whole else (1, count - at)
+            steps = (count - at) // self._longest
+            n, length = (steps, self._longest) if steps else (1, count - at)
             place = self._play_steps(n, length, commands[at : at + n * length])
             self._copy_to_first_half(n * length)
             at += n * length

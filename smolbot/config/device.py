@@ -62,7 +62,7 @@ class DeviceConfig:
     date : datetime.date
         Day of the calibration.
     device : Device
-    std : Uncertainty or None
+    std : DeviceUncertainty or None
         None unless the file gives all three standard deviations.
     height : float or None, in m
         Known z of the rotation centre during the calibration, in the world frame.

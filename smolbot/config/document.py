@@ -86,7 +86,16 @@ class Document:
 
     @classmethod
     def read(cls, path: Path) -> Document:
-        """Read `path` by itself; a missing or unreadable file is one clear error."""
+        """Read a file; a missing or unreadable one is one clear error.
+
+        Parameters
+        ----------
+        path : Path
+
+        Returns
+        -------
+        Document
+        """
         return cls(path, read_text(path))
 
     @property
@@ -164,7 +173,17 @@ class Document:
         return f"{path}:{line}: {name + ': ' if name else ''}{fault.message}"
 
     def error(self, faults: list[Fault]) -> ConfigError:
-        """One error with a line for each fault, in the order of the file, then of its parents."""
+        """Make one error of all faults.
+
+        Parameters
+        ----------
+        faults : list of Fault
+
+        Returns
+        -------
+        ConfigError
+            One line for each fault, in the order of the file, then of its parents.
+        """
         places = {fault: self.place(fault.key) for fault in faults}
         ordered = sorted(faults, key=lambda fault: (places[fault][0] != self.path, places[fault][1]))
         return ConfigError("\n".join(dict.fromkeys(self.format_fault(f) for f in ordered)))
@@ -310,7 +329,16 @@ def write_lines(path: str | Path, lines: Iterable[str]) -> None:
 
 
 def read_text(path: Path) -> str:
-    """Text of a file; a missing or unreadable one is one clear error."""
+    """Read a text file; a missing or unreadable one is one clear error.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    str
+    """
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError as error:

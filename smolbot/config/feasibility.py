@@ -212,10 +212,22 @@ def compute_covariances_along(mission: MissionBase, path: Curve, arc: FloatArray
 def compute_expected_covariances(
     mission: MissionBase, points: FloatArray, orientations: list[FloatArray]
 ) -> FloatArray:
-    """Covariances (n, 6, 6) of one pose each, (m, rad), at `points` (n, 3) in m and `orientations` (4,).
+    """Compute the covariance that the estimator of a mission reaches at each pose.
 
     Of the mission's own estimator: ``whitened`` reaches the bound, averaged here over rooms whose mains it has learned;
     a lab's own is not known to, and can do no better.
+
+    Parameters
+    ----------
+    mission : MissionBase
+    points : ndarray, shape (n, 3), in m
+        In the world frame.
+    orientations : list of ndarray, shape (4,)
+        Unit quaternions, one for each point.
+
+    Returns
+    -------
+    ndarray, shape (n, 6, 6), in m and rad
     """
     find = (
         _compute_paper_covariances if mission.base.localization.estimator == "paper" else _compute_whitened_covariances

@@ -76,7 +76,8 @@ def read_known_track(path: str | Path) -> KnownTrack:
     table = read_table(path, named=True)
     if not table.rows:
         raise InputError(
-            f"{path}: holds no track; a line of column names ({_format_needed_columns()}) and a row per recording are needed."
+            f"{path}: holds no track; a line of column names ({_format_needed_columns()}) "
+            "and a row per recording are needed."
         )
     turned = _has_direction_columns(path, table.names)
     poses = [
@@ -145,7 +146,8 @@ def plan_track(low: FloatArray, high: FloatArray, count: int) -> list[Pose]:
 
 
 def _format_needed_columns() -> str:
-    return f"{', '.join(POSITION_COLUMNS)}, and {', '.join((*ALONG_COLUMNS, *SWING_COLUMNS))} or {', '.join(QUATERNION_COLUMNS)}"
+    directions = ", ".join((*ALONG_COLUMNS, *SWING_COLUMNS))
+    return f"{', '.join(POSITION_COLUMNS)}, and {directions} or {', '.join(QUATERNION_COLUMNS)}"
 
 
 def _has_direction_columns(path: Path, names: Sequence[str]) -> bool:

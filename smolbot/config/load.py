@@ -17,11 +17,17 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
 
     Parameters
     ----------
+    name : str
+        A shipped mission, or the path of a file.
     rig : str, optional
         A rig to use instead of the mission's own.
     settings : dict, optional
         ``{"cycle.half_periods": "6"}``: settings laid over the mission file; keys that begin with
         ``rig.`` are laid over the rig file.
+
+    Returns
+    -------
+    Mission or Observation
 
     Raises
     ------

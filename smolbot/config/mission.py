@@ -61,6 +61,17 @@ class MissionFile(MissionBaseFile):
 class Mission(MissionBase):
     """A mission that steers, whose files hold together: path, rig, robot and law fit each other.
 
+    Parameters
+    ----------
+    document : Document
+        The mission file, resolved.
+    sections : MissionFile
+    rig : RigConfig
+    robot : RobotConfig
+    path : Curve
+    path_remarks : tuple of str
+        What was changed of a drawn path.
+
     Examples
     --------
     >>> import smolbot

@@ -64,6 +64,14 @@ class ObservationFile(MissionBaseFile):
 class Observation(MissionBase):
     """A mission that only localizes: nothing here knows where the device is, or where it will go; it has no path.
 
+    Parameters
+    ----------
+    document : Document
+        The mission file, resolved.
+    sections : ObservationFile
+    rig : RigConfig
+    robot : RobotConfig
+
     Examples
     --------
     >>> import smolbot

@@ -55,6 +55,17 @@ def list_plugins(group: str) -> list[str]:
 def load_plugin(group: str, name: str) -> Any:
     """Load the entry point `name` of ``smolbot.<group>``, and check that it keeps the protocol of that group.
 
+    Parameters
+    ----------
+    group : str
+        Such as ``controllers``.
+    name : str
+
+    Returns
+    -------
+    object
+        What the entry point names.
+
     Raises
     ------
     PluginError

@@ -301,6 +301,17 @@ def make_mesh_axis(span_mm: Range, mesh_mm: float) -> FloatArray:
 def load_rig(name: str, settings: dict[str, str] | None = None) -> RigConfig:
     """Read a shipped rig by name, or a user's by path. Every fault of the file is reported at once.
 
+    Parameters
+    ----------
+    name : str
+        A shipped rig, or the path of a file.
+    settings : dict, optional
+        Settings laid over the file: ``{"turnaround_ms": "5.0"}``.
+
+    Returns
+    -------
+    RigConfig
+
     Examples
     --------
     >>> import smolbot

@@ -203,6 +203,17 @@ class RobotConfig:
 def load_robot(name: str, beside: Path | None = None) -> RobotConfig:
     """Read a shipped robot by name, or a user's by path.
 
+    Parameters
+    ----------
+    name : str
+        A shipped robot, or the path of a file.
+    beside : Path, optional
+        A relative path is relative to the folder of this file.
+
+    Returns
+    -------
+    RobotConfig
+
     Examples
     --------
     >>> import smolbot

@@ -113,7 +113,17 @@ class SingleAxis:
 
     @staticmethod
     def expand(section: SensorsSection) -> dict[str, Any]:
-        """What stands in the section: these are single-axis sensors."""
+        """Return the content of the section.
+
+        Parameters
+        ----------
+        section : SensorsSection
+
+        Returns
+        -------
+        dict
+            The section as it is: its sensors have one axis each.
+        """
         return section.model_dump(mode="json", exclude_none=True)
 
 

@@ -80,7 +80,7 @@ def lay_over(base: str, upper: str, without: Iterable[KeyPath]) -> str:
 def set_values(
     text: str, values: Mapping[KeyPath, Any], without: Iterable[KeyPath] = (), begin: str | None = None
 ) -> str:
-    """Set values in a TOML text.
+    r"""Set values in a TOML text.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def set_values(
 
     Examples
     --------
-    >>> print(set_values('[limits]\\nmax_current_a = 8.0  # of the supply\\n', {("limits", "max_current_a"): 6.0}))
+    >>> print(set_values('[limits]\nmax_current_a = 8.0  # of the supply\n', {("limits", "max_current_a"): 6.0}))
     [limits]
     max_current_a = 6.0  # of the supply
     <BLANKLINE>

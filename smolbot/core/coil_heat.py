@@ -75,7 +75,7 @@ def compute_winding_heat_capacity(resistance: float, turns: float, mean_turn: fl
     mean_turn : float, in m
         Mean length of a turn.
     section : float, in m²
-        Cross-section of the whole winding.
+        Cross-section of the complete winding.
 
     Returns
     -------
@@ -101,7 +101,7 @@ def advance_temperature(
 
     Parameters
     ----------
-    coil : Coil
+    coil : ThermalCoil
     temperature : float, in degrees Celsius
         At the start.
     mean_square : float, in A²
@@ -152,7 +152,7 @@ class CoilHeat:
 
     Parameters
     ----------
-    coils : sequence of Coil or None
+    coils : sequence of ThermalCoil or None
         None for a coil whose thermal constants are not known; its temperature stays at `ambient`.
     ambient : float, in degrees Celsius
 
@@ -193,7 +193,7 @@ class CoilHeat:
 
         Returns
         -------
-        tuple of (Coil, float) or None
+        tuple of (ThermalCoil, float) or None
             The coil and its temperature in degrees Celsius; None if no coil is too hot.
         """
         for coil, temperature in zip(self.coils, self.temperatures, strict=True):

@@ -40,10 +40,9 @@ class Prober(Protocol):
     """A rig that can record its own coils with its sensors."""
 
     def probe(self, coil: str, current: float) -> Probe:
-        """Hold one coil at a constant current for `HELD` s and record the sensors before, during and after it.
+        """Hold one coil at a constant current for `HOLD_DURATION` s; record the sensors before, during and after.
 
-        The coil is switched by its relay where it has one: the source still supplies the current when the relay
-        opens.
+        A coil with a relay is switched by the relay: the source still supplies the current when it opens.
 
         Parameters
         ----------

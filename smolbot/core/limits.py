@@ -17,7 +17,7 @@ AXIS_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class BrokenLimit:
-    """One limit that a shot breaks: a sentence, and the fields of an `InterlockError`."""
+    """One limit that a shot breaks: a sentence for people, and the fields of an `InterlockError`."""
 
     said: str
     limit: float | None = None
@@ -28,7 +28,7 @@ class BrokenLimit:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a rig may be asked to do. SI units.
+    """Limits of a rig, within which every shot must stay. SI units.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Limits:
     max_current : float, in A
         Per actuation coil.
     unipolar : bool
-        True where a coil's supply cannot reverse.
+        True if a coil's supply cannot reverse its current.
     max_actuation : float, in s
         Longest single actuation window.
     max_excitation_current : float, in A
@@ -88,7 +88,19 @@ class Limits:
         return [one.said for one in self.broken(shot, magnet_near=magnet_near)]
 
     def broken(self, shot: Shot, *, magnet_near: bool = False) -> list[BrokenLimit]:
-        """As `faults`, with what is known of each limit."""
+        """List every limit that a shot breaks, as `faults` does, with value and limit of each.
+
+        Parameters
+        ----------
+        shot : Shot
+        magnet_near : bool
+            Whether the actuation magnet is near when the shot begins.
+
+        Returns
+        -------
+        list of BrokenLimit
+            Empty if the shot may be played.
+        """
         found: list[BrokenLimit] = []
         quiet_since = float("inf")
         axis: tuple[float, float, float] | None = None

@@ -1,4 +1,4 @@
-"""The person at the bench, who does what no stage can do: asked in the terminal, and waited for."""
+"""The person at the bench, who does by hand what no stage can do, and is asked in the terminal."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class Operator(Protocol):
             What is to be done, such as ``Bring the magnet near``.
         timeout : float, in s
         until : callable, optional
-            Polled while waiting: True means that it was done, as an end switch can detect, and no answer is needed.
-            It may raise, which ends the wait.
+            Polled while waiting. It returns True once the action was done, for instance by an end switch; then no
+            answer is needed. It may raise, which ends the wait.
 
         Returns
         -------
@@ -42,7 +42,7 @@ class Operator(Protocol):
         Raises
         ------
         RigError
-            When nobody answers in time, or nobody can be asked.
+            If nobody answers in time, or nobody can be asked.
         """
 
     def say(self, text: str) -> None:
@@ -112,8 +112,8 @@ class TerminalOperator:
     Attributes
     ----------
     pauses : list of callables
-        Each makes a context in which the terminal is free for a question: a progress bar that is hidden, a thread
-        that reads keys and waits.
+        Each makes a context in which the terminal is free for a question: it hides a progress bar, or stops a thread
+        that reads keys.
     """
 
     def __init__(self, source: TextIO | None = None, out: TextIO | None = None) -> None:
@@ -142,7 +142,7 @@ class TerminalOperator:
         Raises
         ------
         RigError
-            When nobody answers in time, or standard input has ended.
+            If nobody answers in time, or standard input has ended.
         """
         with self._pause_others():
             out = self._out or sys.stderr  # a progress bar that is paused restores it
@@ -216,7 +216,7 @@ class _Lines(Protocol):
         """Return the next line, or None if none came within `timeout` s; raise EOFError at the end."""
 
     def discard_pending(self) -> None:
-        """Drop what a person typed before the question was asked."""
+        """Drop what was typed before the question."""
 
 
 class _DescriptorLines:

@@ -1,4 +1,4 @@
-"""What results have in common: they print in a line, give their rows as columns, and can be JSON."""
+"""Common parts of results: printing in one line, rows as columns, and JSON."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 
 class _Brief(reprlib.Repr):
-    """Arrays by their shape, long rows by their first items, figures to six digits."""
+    """Short representations: arrays by their shape, long rows by their first items, figures to six digits."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -32,7 +32,7 @@ _BRIEF = _Brief()
 
 
 class Readable:
-    """A dataclass that prints in a line, however much it holds; for ``@dataclass(repr=False)``.
+    """Base class of dataclasses that print in one line, however much they hold; for ``@dataclass(repr=False)``.
 
     Examples
     --------
@@ -46,12 +46,12 @@ class Readable:
     """
 
     def __repr__(self) -> str:
-        told = (f"{f.name}={_BRIEF.repr(getattr(self, f.name))}" for f in fields(self) if f.repr)  # type: ignore[arg-type]
-        return f"{type(self).__name__}({', '.join(told)})"
+        parts = (f"{f.name}={_BRIEF.repr(getattr(self, f.name))}" for f in fields(self) if f.repr)  # type: ignore[arg-type]
+        return f"{type(self).__name__}({', '.join(parts)})"
 
 
 def as_columns(rows: Iterable[Mapping[str, Any]], names: Sequence[str]) -> dict[str, np.ndarray[Any, Any]]:
-    """Rows as columns of those names: numbers as arrays of doubles, nan where a row has none, all else as objects.
+    """Convert rows to columns: numbers to arrays of doubles, with nan where a row has none, all else to objects.
 
     Parameters
     ----------
@@ -79,7 +79,16 @@ def as_columns(rows: Iterable[Mapping[str, Any]], names: Sequence[str]) -> dict[
 
 
 def as_json(value: Any) -> Any:
-    """A value that JSON can hold: nan and infinity become null, arrays lists."""
+    """Convert a value to one that JSON can hold: nan and infinity become null, arrays become lists.
+
+    Parameters
+    ----------
+    value : object
+
+    Returns
+    -------
+    object
+    """
     if isinstance(value, dict):
         return {str(k): as_json(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -92,5 +101,14 @@ def as_json(value: Any) -> Any:
 
 
 def format_json(data: Any) -> str:
-    """One JSON object as text, as commands print and keep it."""
+    """Format data as JSON text, the way commands print and store it.
+
+    Parameters
+    ----------
+    data : object
+
+    Returns
+    -------
+    str
+    """
     return json.dumps(as_json(data), indent=2, default=str) + "\n"

@@ -18,7 +18,7 @@ from smolbot.core.shots import Shot
 
 @runtime_checkable
 class Witness(Protocol):
-    """Knows where the device truly is. Held by recorder and report, never by the loop's estimators.
+    """Protocol of what knows the true pose. Recorder and report use it, never the loop's estimators.
 
     Examples
     --------
@@ -32,7 +32,7 @@ class Witness(Protocol):
     """
 
     def truth(self, time: float) -> Pose:
-        """Return the true pose of the device.
+        """Return the true pose of the device at a time.
 
         Parameters
         ----------
@@ -67,9 +67,9 @@ class CalibrationStage(Protocol):
 
 @runtime_checkable
 class Rig(Protocol):
-    """A world that plays shots. The tank, the bench and the twin keep the same promise.
+    """Protocol of a world that plays shots. The tank, the bench and the twin all keep it.
 
-    It may also keep the protocols below, which nothing depends on: `RecoveryCounter`, `StatusReporter`,
+    A rig may also keep the protocols below, all of which are optional: `RecoveryCounter`, `StatusReporter`,
     `ProvenanceReporter`, `Checkable`.
 
     Examples
@@ -141,24 +141,24 @@ class RecoveryCounter(Protocol):
 
     @property
     def recovered(self) -> Mapping[str, int]:
-        """How often it recovered from what, by kind: ``{"read_timeouts": 1}``. Ends up in the summary."""
+        """Number of recovered faults by kind, for the summary: ``{"read_timeouts": 1}``."""
 
 
 @runtime_checkable
 class StatusReporter(Protocol):
-    """A rig that has something to say of itself while a mission runs."""
+    """A rig that reports its state while a mission runs."""
 
     @property
     def status_line(self) -> str:
-        """A few words on its state, shown beside the progress; empty if there is nothing to say."""
+        """A few words on its state, shown beside the progress; empty if there is nothing to report."""
 
 
 @runtime_checkable
 class ProvenanceReporter(Protocol):
-    """A rig, or a witness, that can say what it is and how it came to be so."""
+    """A rig, or a witness, that can describe itself for the record."""
 
     def provenance(self) -> dict[str, Any]:
-        """What the run's ``provenance.json`` keeps of it: devices and their serial numbers, or seed and drawn values.
+        """Return what the run's ``provenance.json`` stores: devices and serial numbers, or seed and sampled values.
 
         Returns
         -------

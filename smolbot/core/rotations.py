@@ -1,6 +1,6 @@
 """Rotations: unit quaternions, scalar first, that take body vectors to world vectors.
 
-Compiled, since one control cycle calls them dozens of times: each once, for arrays of any layout, read-only or not.
+Compiled, since a control cycle calls them dozens of times; each for arrays of any layout, read-only or not.
 """
 
 # mypy: disable-error-code="untyped-decorator"
@@ -185,8 +185,8 @@ def choose_nearer_orientation(quaternion: FloatArray, reference: FloatArray | No
     """
     if reference is None:
         return quaternion
-    twin = flip_orientation(quaternion)
-    return twin if abs(twin @ reference) > abs(quaternion @ reference) else quaternion
+    flipped = flip_orientation(quaternion)
+    return flipped if abs(flipped @ reference) > abs(quaternion @ reference) else quaternion
 
 
 def quaternion_from_axes(first: FloatArray, second: FloatArray, order: str) -> FloatArray:
@@ -216,7 +216,16 @@ def quaternion_from_axes(first: FloatArray, second: FloatArray, order: str) -> F
 
 
 def compute_mean_rotation(quaternions: FloatArray) -> FloatArray:
-    """The rotation (4,) nearest in the mean square to all of `quaternions` (n, 4)."""
+    """Compute the mean rotation: the one with the least mean square distance to all.
+
+    Parameters
+    ----------
+    quaternions : ndarray, shape (n, 4)
+
+    Returns
+    -------
+    ndarray, shape (4,)
+    """
     from scipy.spatial.transform import Rotation
 
     mean = Rotation.from_quat(quaternions, scalar_first=True).mean()

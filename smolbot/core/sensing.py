@@ -39,7 +39,7 @@ class SensorArray:
     bandwidth : float, in Hz
         Corner of the first-order low pass that each sensor is; ``inf`` for an ideal one.
     gains : ndarray, shape (n,), optional
-        What each sensor says over what it should, where that was learned; ones without it.
+        Output of each sensor over its nominal output, as learned; ones if not given.
 
     Examples
     --------
@@ -85,7 +85,7 @@ class SensorArray:
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """A magnet on a resonant cantilever, as it is believed to be.
+    """A magnet on a resonant cantilever, as assumed.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Device:
     damping_model : {"linear", "exponential"}
         Envelope of the free oscillation: Eq. S3 or Eq. S4.
     amplitude, amplitude_std : float or None, in rad
-        What is known of the amplitude at the end of a drive; without it, anything up to the stop is likely.
+        Amplitude at the end of a drive, as learned; without it, any amplitude up to the stop is likely.
 
     Examples
     --------
@@ -153,13 +153,13 @@ class Device:
 
     @property
     def along_cantilever(self) -> bool:
-        """True where the moment lies along the cantilever, so that a half turn about it changes no signal."""
+        """True if the moment lies along the cantilever, so that a half turn about it changes no signal."""
         return bool(abs(self.moment_in_body[2]) > PARALLEL)
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What the sensors heard in one listening window.
+    """Samples of all sensors in one listening window.
 
     Attributes
     ----------
@@ -170,7 +170,7 @@ class Recording:
         From the end of the excitation to the first sample.
     saturated : ndarray of bool, shape (n_sensors,)
     drive : Excite or None
-        The excitation that preceded it; None for a quiet recording.
+        The excitation that preceded it; None for a recording of background noise.
     clock : float, in s
         Time of the first sample on the rig's clock.
 
@@ -178,8 +178,8 @@ class Recording:
     --------
     >>> import numpy as np
     >>> import smolbot
-    >>> heard = smolbot.Recording(np.zeros((10, 500)), 50e3, time_since_drive=0.02, clock=1.0)
-    >>> print(f"{heard.duration:.3f} s long, middle at {heard.middle:.3f} s")
+    >>> recording = smolbot.Recording(np.zeros((10, 500)), 50e3, time_since_drive=0.02, clock=1.0)
+    >>> print(f"{recording.duration:.3f} s long, middle at {recording.middle:.3f} s")
     0.010 s long, middle at 1.005 s
     """
 
@@ -209,5 +209,5 @@ class Recording:
 
     @property
     def middle(self) -> float:
-        """Time of its middle on the rig's clock, in s."""
+        """Time of the middle on the rig's clock, in s."""
         return self.clock + 0.5 * self.duration

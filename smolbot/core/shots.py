@@ -88,7 +88,7 @@ class Excite:
 
 @dataclass(frozen=True)
 class RingDown:
-    """Wait until the excitation coils' field has died away.
+    """Wait until the field of the excitation coils has decayed.
 
     Examples
     --------
@@ -116,7 +116,7 @@ class RingDown:
 
 @dataclass(frozen=True)
 class Listen:
-    """Record all sensors for a whole number of half-periods of `frequency` Hz.
+    """Record all sensors for an integer number of half-periods of `frequency` Hz.
 
     Examples
     --------
@@ -180,8 +180,8 @@ class Rest:
 class Rotate:
     """Turn the actuation magnet about `axis` (world, 3) at `frequency` Hz for `turns` turns.
 
-    The stage steers its axis to `axis`, or to the opposite direction where that is nearer and then turns the magnet the
-    other way, while it turns; an axis that is set while the magnet is away is there from the start.
+    While the magnet turns, the stage steers its axis to `axis`, or to the opposite direction if that is nearer, and
+    then turns the magnet the other way. If the magnet is away, the axis is set before it turns.
 
     Examples
     --------
@@ -283,10 +283,10 @@ class Shot:
     ----------
     windows : tuple of windows
     mode : {"quiet", "search", "track", "lost", "hold"}
-        Why the scheduler made it: to listen to noise, coils or probes before the first cycle, to find the device, to
-        act, since the signal was lost, to listen without acting (until two poses agree, and in a pause).
+        Purpose: recording noise, coils or probes before the first cycle; search for the device; actuation; search
+        for a lost signal; listening without actuation (until two poses agree, and in a pause).
     start : float, in s
-        When it begins, on the rig's clock.
+        Start time on the rig's clock.
 
     Examples
     --------

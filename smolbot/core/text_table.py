@@ -1,4 +1,4 @@
-"""Text tables as people and programs write them: commas, semicolons or tabs, comments, perhaps a line of names."""
+"""Text tables with commas, semicolons or tabs, with comments, and with or without a line of names."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Row:
     Attributes
     ----------
     path : Path
-        File that it is from, for messages.
+        The table's file, for messages.
     line : int
         Line number in the file.
     text : str
-        The whole line.
+        The complete line.
     cells : tuple of str
     names : tuple of str
         Names of the columns; empty if the table has none.

@@ -47,25 +47,25 @@ def make_loop(
     *,
     controller: Controller | None = None,
 ) -> Loop:
-    """Make the loop of a mission on an open rig, every part from the mission's files.
+    """Make the loop of a mission on an open rig, with every part built from the mission's files.
 
     Parameters
     ----------
     rig : Rig
-        As `open_rig` gives it.
+        As `open_rig` returns it.
     mission : Mission or Observation
     listeners : tuple of callable
         Called with the record of every cycle.
     latch : Latch, optional
-        Whoever holds it may stop the run, from any thread.
+        Tripping it stops the run, from any thread.
     heat_memory : HeatMemory, optional
-        How hot the coils were left.
-    tape : Tape, optional
-        What records everything that is played.
+        Coil temperatures that earlier runs left; without it, the coils start cold.
+    tape : RecorderSink, optional
+        Receives every shot and every event.
     pause : Pause, optional
-        Whoever holds it may pause the run.
+        Holding it pauses the run, from any thread.
     controller : Controller, optional
-        A law to fly in place of the one that the mission names.
+        Controller to fly instead of the one that the mission names.
 
     Returns
     -------
@@ -79,15 +79,15 @@ def make_loop(
     scheduler = Scheduler(cycle, rig.limits, DeviceBelief(device), rig.excitation_field, rig.now)
     listening = mission.base.localization
     localizer = load_plugin("estimators", listening.estimator)(rig.sensors, device, volume=make_search_volume(mission))
-    quiet = PreparationSettings(
+    preparation = PreparationSettings(
         listening.background_noise_duration, mission.rig.sample_rate, listening.learns_ring_down
     )
     stop = mission.base.stop
     rules = StopRules(stop.max_duration_s, stop.lost_shots)
     locator: PoseEstimator = rig.make_synthetic_localizer(localizer) if isinstance(rig, SyntheticPoseRig) else localizer
     return Loop(
-        rig, scheduler, locator, tracker, pilot, rules, quiet, listeners,
-        independent=isinstance(tracker, SingleShotTracker), externally_guided=isinstance(mission, Observation) and mission.motion is not None,
+        rig, scheduler, locator, tracker, pilot, rules, preparation, listeners,
+        independent=isinstance(tracker, SingleShotTracker), externally_guided=isinstance(tracker, VelocityTracker),
         array_filter=None if isinstance(tracker, SingleShotTracker) else make_array_filter(mission, locator),
         safety=make_safety(rig, mission, latch, heat_memory), tape=tape, pause=pause,
     )  # fmt: skip
@@ -148,12 +148,12 @@ def make_array_filter(mission: MissionBase, locator: PoseEstimator) -> ArrayFilt
     ----------
     mission : Mission or Observation
         Its rig file gives the tolerances of sensor positions, axes and gains.
-    locator : Localizer or Sightings
+    locator : PoseEstimator
 
     Returns
     -------
     ArrayFilter or None
-        None if the rig file gives no tolerances, or if the estimator is not ``whitened``.
+        None if the rig file gives no tolerances, or if the estimator does not learn sensors.
     """
     covariance = mission.rig.sensor_covariance
     if covariance is None or "sensors" not in locator.learns:
@@ -215,8 +215,8 @@ def _make_watching_parts(mission: Observation) -> tuple[Tracker, Pilot]:
     """Build tracker and pilot of an observation, which steers nothing."""
     section = mission.sections.observe
     if section.measurements is not None:
-        glimpse = SingleShotTracker(mission.robot.device)
-        return glimpse, Measurer(glimpse, section.measurements)
+        single_shot = SingleShotTracker(mission.robot.device)
+        return single_shot, Measurer(single_shot, section.measurements)
     assert section.duration_s is not None
     device, motion = mission.robot.device, mission.motion
     tracker = Tracker(None, device, None) if motion is None else VelocityTracker(device, motion)

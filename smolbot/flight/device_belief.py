@@ -1,4 +1,4 @@
-"""What a flight believes of its device: held in one place, and handed on from there."""
+"""The device as a flight assumes it: held in one place, and updated by what is learned."""
 
 from __future__ import annotations
 
@@ -9,33 +9,35 @@ from smolbot.motion.robot import compute_magnet_inertia
 
 
 class DeviceBelief:
-    """The one owner of what a flight believes of its device, and of what it learns of it.
+    """The device as a flight assumes it, with what is learned about it in flight.
+
+    When the parts of a flight use a learned value:
 
     ==============================  ========================  =====================================
-    who has it                      moment, l0                frequency, damping
+    part                            moment, l0                frequency, damping
     ==============================  ========================  =====================================
     pose estimator (`device`)       at once                   at once
     resonance filter (`device`)     at once                   at once
     scheduler (`scheduled`)         with the next retune      at once: learning them is a retune
-    scheduler's `inertia`           never                     it does not depend on them
+    scheduler's `inertia`           never                     does not depend on them
     tracker                         uses stop and direction of the moment, which no flight learns
     ==============================  ========================  =====================================
 
-    An estimator is immutable, so the loop makes another one with `device` after every change; the others look here.
+    An estimator is immutable, so the loop makes a new one after every change; the other parts read this object.
 
     Parameters
     ----------
     device : Device
-        As the mission's files have it.
+        As described by the mission's files.
 
     Attributes
     ----------
     device : Device
         With everything that was learned.
     scheduled : Device
-        As of the last retune: drives and listening windows are made for this one.
+        As of the last retune; drives and listening windows are made for this one.
     inertia : float, in kg·m²
-        Of the magnet about the cantilever's rotation centre, as the files have it.
+        Of the magnet about the cantilever's rotation centre, from the mission's files.
 
     Examples
     --------
@@ -54,9 +56,22 @@ class DeviceBelief:
         self.inertia = compute_magnet_inertia(device.moment, device.l0)
 
     def learn_magnet(self, moment: float, l0: float) -> None:
-        """Take in moment, in A·m², and distance of the magnet from the rotation centre, in m."""
+        """Replace moment and lever arm of the device.
+
+        Parameters
+        ----------
+        moment : float, in A·m²
+        l0 : float, in m
+            Distance of the magnet from the rotation centre.
+        """
         self.device = replace(self.device, moment=moment, l0=l0)
 
     def retune(self, frequency: float, damping: float) -> None:
-        """Take in a resonance, in Hz, and a damping, in 1/s; from now on shots are made for them."""
+        """Replace resonance and damping of the device; from now on shots are made for them.
+
+        Parameters
+        ----------
+        frequency : float, in Hz
+        damping : float, in 1/s
+        """
         self.device = self.scheduled = replace(self.device, frequency=frequency, damping=damping)

@@ -35,7 +35,7 @@ from smolbot.motion.controller import Command
 from smolbot.runs.run import CycleRecord, Event, Listener, RecorderSink, Run, Status
 
 _LOG = logging.getLogger(__name__)
-_FORESEEN = (InterlockError, RigError, OutsideTableError)
+_EXPECTED_ERRORS = (InterlockError, RigError, OutsideTableError)
 
 LEARNING_INTERVAL = 5
 """Number of cycles between two updates of resonance and noise, which change slowly."""
@@ -74,23 +74,47 @@ def as_lists(sensors: SensorArray) -> dict[str, object]:
 
 
 class Loop:
-    """Plays shot after shot with a rig, a localizer and a tracker, as a pilot says, until the pilot is done.
+    """The closed loop of a flight: it plays shots until the pilot is done or a rule ends the run.
 
-    Where poses are to be `independent`, each is found from nothing, and nothing is learned from one for the next.
-    A device that is `externally_guided` leaves residuals that are not noise: the noise stays as it was learned at the start.
-    The `safety` is asked before every shot and told of every recording; without one, only the rig's limits count.
-    The `tape` hears of all that is played and happens; while the `pause` holds, the robot is listened to and not moved.
-
-    Cycle by cycle, with every output at zero once the block is left, whatever happened in it::
+    Cycle by cycle, with every output at zero when the block ends, whatever happened in it::
 
         with loop:
             while not loop.done:
                 record = loop.step()
 
+    Parameters
+    ----------
+    rig : Rig
+    scheduler : Scheduler
+    localizer : PoseEstimator
+    tracker : Tracker
+    pilot : Pilot
+        Gives the command for the next cycle, and ends the flight.
+    rules : StopRules
+    preparation : PreparationSettings
+        What to learn before the first cycle.
+    listeners : tuple of callable
+        Called with the record of every cycle.
+    clock : callable
+        Returns a time in s, from which computing times are measured.
+    independent : bool
+        Whether to locate each pose without a prior, and to learn nothing from one pose for the next.
+    externally_guided : bool
+        Whether the device is moved from outside. Its motion adds to the fit residuals, so that the noise model stays
+        as it was learned at the start.
+    array_filter : ArrayFilter, optional
+        Estimates sensor errors in flight.
+    safety : Safety, optional
+        Checks every shot and every recording; unless given, only the rig's limits are checked.
+    tape : RecorderSink, optional
+        Receives every shot and every event.
+    pause : Pause, optional
+        While it is held, the loop listens but does not move the robot.
+
     Attributes
     ----------
     run : Run
-        What has happened so far; whole once the block was left, or `fly` returned or raised.
+        What has happened so far; complete once the block has ended, or `fly` has returned or raised.
     """
 
     resonance: ResonanceFilter  # of the scheduler's belief, from the first step on
@@ -151,10 +175,10 @@ class Loop:
         Raises
         ------
         Exception
-            One that nobody foresaw, once the outputs are at zero and `run` says what happened. What ends a flight by
-            its own rules (a limit, a failing rig, the edge of the field table, Ctrl-C) is told by the run alone.
+            Only an unexpected error, once the outputs are at zero and `run` is complete. What ends a flight by its
+            own rules (a limit, a failing rig, the edge of the field table, Ctrl-C) is reported in the run alone.
         """
-        with suppress(KeyboardInterrupt, *_FORESEEN), self:
+        with suppress(KeyboardInterrupt, *_EXPECTED_ERRORS), self:
             while not self.done:
                 self.step()
         return self.run
@@ -169,7 +193,7 @@ class Loop:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        """End the run, however it went: every output goes to zero, nothing more is played, `run` says what happened."""
+        """End the run: every output goes to zero, nothing more is played, and `run` is completed."""
         self._flying = False
         try:
             self._linear_algebra.close()
@@ -182,11 +206,11 @@ class Loop:
 
     @property
     def done(self) -> bool:
-        """Whether the pilot is done, or a stop rule ended the run: there is nothing to step to."""
+        """True once the pilot is done or a stop rule has ended the run."""
         return self._ending is not None
 
     def step(self) -> CycleRecord:
-        """Play one cycle: shot, recording, pose, track, command. The first also learns what is to be learned before.
+        """Play one cycle: shot, recording, pose, track, command. The first call also runs the learning phase.
 
         Returns
         -------
@@ -196,9 +220,9 @@ class Loop:
         Raises
         ------
         InputError
-            Outside of a ``with`` block of the loop, at whose end outputs go to zero, and once it is done.
+            Outside of a ``with`` block of the loop, and once it is done.
         InterlockError, RigError
-            If a shot breaks a limit, or the world fails; the safety's stops are of the latter kind.
+            If a shot breaks a limit, or the rig fails. A stop by the safety supervisor is a `RigError`.
         """
         if not self._flying or self.done:
             why = "it is done" if self._flying else "step it in a block 'with loop:', which ends with outputs at zero"
@@ -215,7 +239,7 @@ class Loop:
         return record
 
     def _prepare(self) -> None:
-        """Learn what is to be learned before the first cycle."""
+        """Run the learning phase before the first cycle."""
         first = Preparation(
             self.localizer, self.scheduler, self.preparation, self._play_checked, self.rig.now, self._record_event
         )
@@ -226,20 +250,20 @@ class Loop:
         self.run.begun = self._started = self.rig.now()
 
     def _finish(self, run: Run, error: BaseException | None) -> None:
-        """Say how the run ended, bring the outputs to zero, and complete its figures."""
+        """Note how the run ended, bring the outputs to zero, and complete its figures."""
         try:
-            run.status, run.stop_reason = self._outcome(error)
+            run.status, run.stop_reason = self._find_outcome(error)
         finally:
             self._zero_outputs(run)
-        run.error = error if isinstance(error, _FORESEEN) else None
+        run.error = error if isinstance(error, _EXPECTED_ERRORS) else None
         run.duration = self.rig.now()
         run.events = self.events
         run.safety = self.safety.summarize()
         run.recovered = self._count_recovered()
         run.wall = self._clock() - self._began
 
-    def _outcome(self, error: BaseException | None) -> tuple[Status, str]:
-        """How a run ended that `error` ended, if any did."""
+    def _find_outcome(self, error: BaseException | None) -> tuple[Status, str]:
+        """Return status and reason of the run, which `error` has ended, if there is one."""
         if error is None:
             return self._ending or ("stopped", "the loop was left before it was done")
         if isinstance(error, KeyboardInterrupt):
@@ -248,9 +272,9 @@ class Loop:
             return "stopped", type(error).__name__
         if isinstance(error, OperatorStopError):
             return "stopped", str(error)
-        if self.safety.latch.tripped:  # what stopped the rig matters, not what it said then
+        if self.safety.latch.tripped:  # the reason is what stopped the rig, not the error that followed
             return self.safety.latch.ending, self.safety.latch.reason
-        return "failed", str(error) if isinstance(error, _FORESEEN) else f"{type(error).__name__}: {error}"
+        return "failed", str(error) if isinstance(error, _EXPECTED_ERRORS) else f"{type(error).__name__}: {error}"
 
     def _zero_outputs(self, run: Run) -> None:
         try:
@@ -297,7 +321,7 @@ class Loop:
         self.safety.check_shot(shot, self.rig.now(), self.tracker.pose)
         planned = self._clock()
         recording = self.rig.play(shot)
-        heard, ended = self._clock(), self.rig.now()
+        received, ended = self._clock(), self.rig.now()
         if self._tape is not None:
             self._tape.record_shot(shot, recording, ended)
         recording = self.safety.check_recording(shot, recording, ended)
@@ -305,7 +329,7 @@ class Loop:
         pose: Pose | None = None
         swing: Oscillation | None = None
         if recording is not None:
-            # a prior that has gone stale would only mislead: a lost signal is searched for from nothing
+            # an outdated prior would only mislead: a lost signal is searched for without one
             lost = self.tracker.pose is None or shot.mode in ("search", "lost") or self.tracker.orientation_uncertain
             prior = None if self.independent or lost else self.tracker.pose_at(recording.middle)
             try:
@@ -330,8 +354,8 @@ class Loop:
         if self.scheduler.paused:
             self._paused += ended - shot.start
         done = self._clock()
-        says = self.rig.status_line if isinstance(self.rig, StatusReporter) else ""
-        return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - heard), ended, says)
+        status = self.rig.status_line if isinstance(self.rig, StatusReporter) else ""
+        return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - received), ended, status)
 
     def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Oscillation) -> None:
         """Update the sensor errors and, if they have changed enough, replace the localizer's sensor array."""
@@ -345,8 +369,8 @@ class Loop:
         self._record_event(time, "array learned", {**found, **as_lists(learned.sensors)})
 
     def _update_resonance(self, time: float, swing: Oscillation) -> None:
-        seen = swing.estimate_resonance_error()
-        device = None if seen is None else self.resonance.update(time, *seen)
+        error = swing.estimate_resonance_error()
+        device = None if error is None else self.resonance.update(time, *error)
         if device is None:
             return
         self.localizer = self.localizer.with_device(device)
@@ -368,8 +392,8 @@ class Loop:
         if command.stuck:
             return "stuck", command.note or "the controller gave up"
         if self.tracker.misses >= self.rules.max_lost_shots:
-            seen = "the signal was never found" if self.tracker.pose is None else "the signal was lost"
-            return "lost", f"{seen}: {self.tracker.misses} shots in a row gave no pose that can be believed"
+            why = "the signal was never found" if self.tracker.pose is None else "the signal was lost"
+            return "lost", f"{why}: {self.tracker.misses} shots in a row gave no trusted pose"
         flown = self.rig.now() - self._started - self._paused
         if flown >= self.rules.max_duration:
             return "timeout", f"max_duration_s reached after {flown:.0f} s"

@@ -34,9 +34,14 @@ class Pilot(Protocol):
 
 
 class Follower:
-    """Lets a controller follow a path from the moment that two poses have agreed.
+    """Pilot that has a controller follow a path, once two poses have agreed.
 
-    One that is `PlaybackAware` is told when its last command was not played.
+    A controller that is `PlaybackAware` is notified if its last command was not played.
+
+    Parameters
+    ----------
+    path : Curve
+    controller : Controller
     """
 
     def __init__(self, path: Curve, controller: Controller) -> None:
@@ -66,9 +71,8 @@ class Follower:
             return Command(None, note="searching for the signal")
         if not tracker.confirmed:
             return Command(None, note="waiting for a second pose to agree")
-        held_back = self._waiting is not None and shot.windows != self._waiting.mechanical
-        if self._waiting is not None and held_back:
-            return self._waiting  # the magnet was not moved while the loop was held, or searched: it still has to be
+        if self._waiting is not None and shot.windows != self._waiting.mechanical:
+            return self._waiting  # a pause or a search came first, so that the magnet still has to be moved
         pose = tracker.pose_at(shot.end)
         if not self._begun:
             self.controller.reset(self.path, pose)
@@ -123,7 +127,7 @@ class Measurer:
 
     Parameters
     ----------
-    tracker : Glimpse
+    tracker : SingleShotTracker
         Tracker that counts the measurements.
     required : int
         Number of measurements to make.

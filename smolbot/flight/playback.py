@@ -131,11 +131,11 @@ class ReplayScheduler:
     Parameters
     ----------
     record : RecordedRun
-    rig : PlayedRig
+    rig : ReplayRig
         Shortens the listening windows.
     cycle : Cycle
     limits : Limits
-    device : Device
+    belief : DeviceBelief
     """
 
     def __init__(self, record: RecordedRun, rig: ReplayRig, cycle: Cycle, limits: Limits, belief: DeviceBelief) -> None:
@@ -254,16 +254,16 @@ def check_windows(record: RecordedRun, half_periods: int | None) -> None:
         If the record holds no cycle or no listening window, or if its windows are shorter than requested.
     """
     cycles = set(record.shot_of_cycle)
-    heard = [p for p in record.played if p.samples is not None and p.number in cycles]
+    recorded = [p for p in record.played if p.samples is not None and p.number in cycles]
     if not record.moments:
         short = "" if record.whole else "; it was cut short before the first"
         raise InputError(f"{record.path}: holds no cycle, so there is nothing to replay{short}.")
-    if not heard:
+    if not recorded:
         raise InputError(
-            f"{record.path}: holds no windows of any cycle, so nothing can be located anew; "
+            f"{record.path}: holds no listening windows of any cycle, so nothing can be located again; "
             "runs of the reduced plant make no signals."
         )
-    least = min(p.shot.listen.half_periods for p in heard if p.shot.listen is not None)
+    least = min(p.shot.listen.half_periods for p in recorded if p.shot.listen is not None)
     if half_periods is not None and not 1 <= half_periods <= least:
         raise InputError(
             f"--half-periods must lie within 1 and {least}, which this run listened for; got {half_periods}."

@@ -35,26 +35,27 @@ class PreparationSettings:
 
 
 class Preparation:
-    """Learns before the first cycle what a localizer and a scheduler can be told.
+    """Learning phase of a flight, before the first cycle.
 
     Parameters
     ----------
-    localizer, scheduler
-        As they begin. The scheduler's cycle is replaced where listening may start earlier.
-    settings : Quiet
-        What to learn.
+    localizer : PoseEstimator
+    scheduler : Scheduler
+        Its cycle is replaced if listening may start earlier.
+    settings : PreparationSettings
     play : callable
-        Plays a shot and returns what was heard.
+        Plays a shot and returns its recording, or None if the window was lost.
     now : callable
         Time on the rig's clock, in s.
     record_event : callable
-        Told of what was learned: time, what, and details.
+        Called with time, name and details of everything that was learned.
 
     Attributes
     ----------
     localizer : PoseEstimator
         With what was learned.
-    tails : CoilTails
+    tails : CoilDecays
+        Decays of the actuation coils' currents.
     """
 
     def __init__(
@@ -88,35 +89,35 @@ class Preparation:
 
     def _play_with_retry(self, shot: Shot) -> Recording | None:
         """Play one shot, and play it once more if its window was lost."""
-        heard = self._play(shot)
-        return heard if heard is not None else self._play(replace(shot, start=self._now()))
+        recording = self._play(shot)
+        return recording if recording is not None else self._play(replace(shot, start=self._now()))
 
     def _learn_noise(self) -> None:
         """Record background noise and pass the learned noise model to the localizer."""
         if self.settings.duration <= 0.0:
             return
-        heard = [self._play(shot) for shot in self.scheduler.make_noise_shots(self.settings.duration)]
+        recordings = [self._play(shot) for shot in self.scheduler.make_noise_shots(self.settings.duration)]
         if "noise" not in self.localizer.learns:
             return
         try:
-            noise = NoiseModel.learn([recording for recording in heard if recording is not None])
+            noise = NoiseModel.learn([recording for recording in recordings if recording is not None])
         except InputError as error:
-            raise RigError(f"The noise cannot be learned from {len(heard)} quiet shots: {error}") from error
+            raise RigError(f"The noise cannot be learned from {len(recordings)} quiet shots: {error}") from error
         self.localizer = self.localizer.with_noise(noise)
         lines = [round(float(f), 3) for f in noise.line_frequencies]
-        self._record_event(self._now(), "noise learned", {"quiet_shots": len(heard), "lines_hz": lines})
+        self._record_event(self._now(), "noise learned", {"quiet_shots": len(recordings), "lines_hz": lines})
 
     def _learn_ring_down(self) -> None:
         """Learn the decay of the excitation coils, and start listening as early as it allows."""
         if not self.settings.learn_ring_down:
             return
-        heard = [self._play_with_retry(shot) for shot in self.scheduler.make_probe_shots()]
+        recordings = [self._play_with_retry(shot) for shot in self.scheduler.make_probe_shots()]
         constants = self.localizer.transients
         if "transients" in self.localizer.learns:
             frequency = self.localizer.device.frequency
-            constants = tuple(learn_time_constant([r], frequency) for r in heard if r is not None)
-            if len(constants) < len(heard):  # listening later, as the mission says, is right for any coil
-                self._record_event(self._now(), "ring-down not learned", {"lost": len(heard) - len(constants)})
+            constants = tuple(learn_time_constant([r], frequency) for r in recordings if r is not None)
+            if len(constants) < len(recordings):  # the mission's later start of listening is safe for any coil
+                self._record_event(self._now(), "ring-down not learned", {"lost": len(recordings) - len(constants)})
                 return
             self.localizer = self.localizer.with_transients(constants)
         if not constants:
@@ -141,15 +142,18 @@ class Preparation:
 
     def _learn_tail(self, coil: int) -> CoilDecay | None:
         for shot in self.scheduler.make_tail_shots(coil):
-            heard = self._play_with_retry(shot)
-            if heard is not None and not heard.saturated.any():
-                return identify_decay(shot, [heard], self.scheduler.device.frequency)
+            recording = self._play_with_retry(shot)
+            if recording is not None and not recording.saturated.any():
+                return identify_decay(shot, [recording], self.scheduler.device.frequency)
         return None
 
     def warm_up(self, frames: FloatArray | None) -> None:
-        """Have the estimator do once whatever is slow the first time, as the cycle is by now.
+        """Run the estimator once on the present cycle, since its first call compiles and is slow.
 
-        `frames` are those in which an array's tilts are learned, where they are; see `array_filter.compute_tilt_frames`.
+        Parameters
+        ----------
+        frames : ndarray, shape (n_sensors, 2, 3), or None
+            Axes about which the tilts of sensors are learned, from `compute_tilt_frames`; None if none are learned.
         """
         cycle = self.scheduler.cycle
         self.localizer.warm_up(cycle.half_periods, self.settings.sample_rate, cycle.ring_down, frames)

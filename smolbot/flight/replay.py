@@ -112,7 +112,7 @@ def replay(
     half_periods: int | None = None,
     device: str | Path | None = None,
 ) -> Replay:
-    """Locate again in everything that a run heard, with the learning in flight, as the loop did.
+    """Locate again in all recordings of a run, with the learning in flight, as the loop did.
 
     Parameters
     ----------
@@ -120,14 +120,18 @@ def replay(
         Run folder, or the record.
     estimator : {"whitened", "paper"}, optional
     half_periods : int, optional
-        How much of each window to use.
+        Length of each listening window to use; the complete window unless given.
     device : path, optional
-        Device file to believe in, in place of the robot's.
+        Device file to use instead of the robot's.
+
+    Returns
+    -------
+    Replay
 
     Raises
     ------
     InputError
-        Where the record holds no windows, or less of them than is asked for.
+        If the record holds no listening windows, or if they are shorter than requested.
 
     Examples
     --------
@@ -177,9 +181,9 @@ def make_replay_loop(record: RecordedRun, mission: Any, half_periods: int | None
     loop.pilot = ReplayPilot(record)
     loop.rules = StopRules(float("inf"), len(record.moments) + 1)
     learned = [p for p in record.played if p.shot.mode == "quiet"]
-    if not learned:  # the mission's own settings learned nothing, others would
+    if not learned:  # the flight had no learning phase
         loop.preparation = replace(loop.preparation, duration=0.0, learn_ring_down=False)
-    if changed:  # poses that others would have given steer nothing, so that no pose of theirs can do harm
+    if changed:  # replayed poses steer nothing, so that none of them can do harm
         loop.safety.rules = SafetyRules(stale_shots=len(record.played) + 1)
     return loop
 

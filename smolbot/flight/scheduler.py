@@ -103,21 +103,21 @@ class TrackedPose(Protocol):
 class Scheduler:
     """Decides the mode of the next shot and lays out its windows.
 
-    Modes: ``search`` without a pose; ``hold`` to listen without actuating; ``track`` to act and
-    listen; ``lost`` after `max_misses` windows without a pose that can be believed.
+    Modes: ``search`` without a pose; ``hold`` to listen without actuating; ``track`` to actuate and
+    listen; ``lost`` after `max_misses` windows without a trusted pose.
 
     Parameters
     ----------
     cycle : Cycle
     limits : Limits
     belief : DeviceBelief
-        What is believed of the device; see there which of it shots are made for.
+        The device as assumed; shots are made for its `scheduled`.
     excitation_field : callable
-        Position (3,) in m to field (2, 3) in T per A of the excitation coils, as believed.
+        Converts a position (3,) in m to the assumed field (2, 3) of the excitation coils in T per A.
     clock : callable
         Earliest start of the next shot, in s.
     max_misses : int
-        Misses in a row that are borne before actuation stops.
+        Number of misses in a row at which actuation stops.
     """
 
     def __init__(
@@ -202,7 +202,7 @@ class Scheduler:
         Parameters
         ----------
         command : Command
-        tracker : Believed
+        tracker : TrackedPose
 
         Returns
         -------

@@ -60,21 +60,21 @@ def run(
     mission : str or Mission
         Shipped name, path of a mission file, or a mission that was loaded.
     rig : str, optional
-        A rig to fly on instead of the mission's own.
+        Rig to fly on instead of the mission's own.
     seed : int
         The same seed gives the same run, bit for bit.
     out : path, optional
         Run folder to write; none is written without it.
     gui : bool
-        Show the simulated world in a window, where there is a display.
+        Show the simulated world in a window, if there is a display.
     witness : bool
-        Ask the simulated world for the truth; without it, poses and commands are the same.
+        Log the ground truth of a simulated world. Poses and commands do not depend on it.
     operator : Operator, optional
-        Who moves what only a hand can move; by default, whoever sits at the terminal.
+        Does by hand what no stage can do; by default, the person at the terminal.
     report : bool
-        Whether to write ``report.html`` into the run folder, once nothing moves any more.
+        Whether to write ``report.html`` into the run folder after the run.
     **overrides
-        Settings laid over the mission file, with ``__`` for the dot: ``controller__tolerance_mm=0.5``.
+        Settings that replace those of the mission file, with ``__`` for the dot: ``controller__tolerance_mm=0.5``.
 
     Returns
     -------
@@ -84,7 +84,7 @@ def run(
     Raises
     ------
     ConfigError, InputError
-        For every fault of the files, before anything moves.
+        For every fault in the files, before anything moves.
 
     Examples
     --------
@@ -130,13 +130,13 @@ def fly(
     ----------
     mission : Mission or Observation
     seed : int
-        Of the simulated world.
+        Seed of the simulated world.
     folder : RunFolder, optional
         Where to record the run; without it, nothing is written.
     settings : mapping, optional
         Settings that replaced those of the mission file, for the record.
     gui : bool
-        Show the simulated world in a window, where there is a display.
+        Show the simulated world in a window, if there is a display.
     witness : bool
         Log the ground truth of a simulated world.
     make_listeners : callable, optional
@@ -144,18 +144,18 @@ def fly(
     opener : callable, optional
         Opens another rig than the rig file names, from mission and seed, such as ``sim.reduced.rig.open_reduced``.
     operator : Operator, optional
-        Carries out what only a person can move; nobody unless given.
+        Does by hand what no stage can do; nobody unless given.
     latch : Latch, optional
-        Whoever holds it may end the run.
+        Tripping it ends the run, from any thread.
     pause : Pause, optional
-        Whoever holds it may pause the run.
+        Holding it pauses the run, from any thread.
     make_live_sink : callable, optional
-        Makes one more recorder sink from the converter of sensor values, such as the pump of a live page.
+        Makes one more recorder sink from the converter of sensor values, such as the message queue of a live page.
     on_flush : callable, optional
-        Called with the number of messages that are safely in the folder, each time that it grows.
+        Called with the number of messages that are on disk, each time that it grows.
     report : bool
-        Whether to write the run's page into the folder once the rig is closed. If that fails, the run is complete
-        nevertheless, and `Run.report` has the reason.
+        Whether to write the report into the folder once the rig is closed. If that fails, the run is complete
+        nevertheless, and `Run.report` gives the reason.
 
     Returns
     -------
@@ -181,29 +181,29 @@ def fly(
 
 
 def open_rig(mission: AnyMission, seed: int = 0, *, gui: bool = False, operator: Operator | None = None) -> Rig:
-    """Open the world that a mission's rig file names, with the robot where the mission puts it.
+    """Open the world that a mission's rig file names, with the robot at the mission's start position.
 
     Parameters
     ----------
     mission : Mission or Observation
     seed : int
-        Of a simulated world.
+        Seed of a simulated world.
     gui : bool
-        Show a simulated world in a window, where there is a display.
+        Show a simulated world in a window, if there is a display.
     operator : Operator, optional
-        Who moves what only a hand can move; without one, nobody is asked.
+        Does by hand what no stage can do; nobody unless given.
 
     Returns
     -------
     Rig
-        To be closed by the caller; ``contextlib.closing`` does.
+        To be closed by the caller, such as with ``contextlib.closing``.
 
     Raises
     ------
     RigError
-        If a device cannot be opened; nothing was energised.
+        If a device cannot be opened; no output was switched on.
     PluginError
-        If what the world opens breaks the protocol of a `Rig`.
+        If what the world opens does not keep the protocol of a `Rig`.
     """
     world: World = load_world(mission.rig.world, mission.rig.document)
     place = mission.start if isinstance(mission, Observation) else mission.start_placement
@@ -213,7 +213,7 @@ def open_rig(mission: AnyMission, seed: int = 0, *, gui: bool = False, operator:
 
 
 def _write_report(mission: AnyMission, folder: Path) -> str:
-    """Write the page of a run that is over; return its path, or why it could not be written."""
+    """Write the report of a run that is over; return its path, or why it could not be written."""
     from smolbot.runs.report.page import save_report
     from smolbot.runs.report.recorded_flight import RecordedFlight
 
@@ -245,7 +245,7 @@ class _Flight:
         self.sampled: dict[str, Any] = {}
         self.trace = Trace(None)
         self.n_recorded = 0
-        self.tapes: RecorderSinks = RecorderSinks(())
+        self.sinks: RecorderSinks = RecorderSinks(())
 
     def fly(
         self,
@@ -258,13 +258,13 @@ class _Flight:
         mission = self.mission
         self.sampled = rig.provenance() if isinstance(rig, ProvenanceReporter) else {}
         self.trace = Trace(rig.witness if witness else None)
-        real = rig.witness is None  # coils of a world that tells the truth are made anew each time
+        real = rig.witness is None  # the coils of a simulated world start cold
         memory = HeatMemory.from_rig_name(mission.rig.name) if real else None
         extra = listeners(mission) if listeners else ()
-        self.tapes = self._begin(live, flushed)
+        self.sinks = self._begin(live, flushed)
         try:
-            loop = make_loop(rig, mission, (self._record_cycle, *extra), self.latch, memory, self.tapes, self.pause)
-            gc.freeze()  # what is there by now is not looked through again while the robot waits
+            loop = make_loop(rig, mission, (self._record_cycle, *extra), self.latch, memory, self.sinks, self.pause)
+            gc.freeze()  # garbage collection skips what exists by now, so that the robot waits less
             try:
                 with shorten_switch_interval():
                     loop.fly()
@@ -272,25 +272,25 @@ class _Flight:
                 gc.unfreeze()
                 self._finish(loop)
         finally:
-            self.tapes.close()
+            self.sinks.close()
         return loop.run
 
     def _begin(
         self, live: Callable[[Converter], MessageQueue] | None, flushed: Callable[[int], None] | None
     ) -> RecorderSinks:
-        """Write what the run starts from, and pass it to the recorder and to the live page."""
+        """Write the run's files and provenance, and pass them to the recorder and to the live page."""
         converter = Converter.of(self.mission.rig.sections.sensors, self.mission.rig.sensor_gains)
-        pumps = [] if live is None else [live(converter)]
-        if self.folder is None and not pumps:
+        queues = [] if live is None else [live(converter)]
+        if self.folder is None and not queues:
             return RecorderSinks(())
         files = RunFiles.of(self.mission)
-        where = collect_provenance(self.seed, self.settings, self.sampled)
+        provenance = collect_provenance(self.seed, self.settings, self.sampled)
         if self.folder is not None:
-            self.folder.begin(files.contents, where)
-            pumps.insert(0, Recorder(self.folder.path, converter, flushed))
-        tapes = RecorderSinks(tuple(pumps))
-        tapes.record_message("/run/begin", 0.0, make_begin_message(files, where, converter))
-        return tapes
+            self.folder.begin(files.contents, provenance)
+            queues.insert(0, Recorder(self.folder.path, converter, flushed))
+        sinks = RecorderSinks(tuple(queues))
+        sinks.record_message("/run/begin", 0.0, make_begin_message(files, provenance, converter))
+        return sinks
 
     def _record_cycle(self, record: CycleRecord) -> None:
         before = self.trace.moments[-1].cycle.shot.mode if self.trace.moments else ""
@@ -300,7 +300,7 @@ class _Flight:
         moment = self.trace.moments[-1]
         if self.folder is not None:
             self.folder.record(moment)
-        self.tapes.record_cycle(len(self.trace.moments) - 1, moment)
+        self.sinks.record_cycle(len(self.trace.moments) - 1, moment)
         self.n_recorded = len(self.trace.moments)
 
     def _finish(self, loop: Loop) -> None:
@@ -313,16 +313,16 @@ class _Flight:
                 for moment in trace.moments[folder.rows :]:
                     folder.record(moment)
             for number in range(self.n_recorded, len(trace.moments)):
-                self.tapes.record_cycle(number, trace.moments[number])
+                self.sinks.record_cycle(number, trace.moments[number])
         level = logging.INFO if flown.status == "completed" else logging.WARNING
         _LOG.log(level, "%.3f s: %s: %s", flown.duration, flown.status, flown.stop_reason)
         flown.true_trail = trace.true_positions() if trace.knows_truth else None
         flown.folder = str(folder.path) if folder is not None else None
-        self.tapes.record_message("/run/end", flown.duration, make_end_message(flown), wait=True)
-        self.tapes.close()
+        self.sinks.record_message("/run/end", flown.duration, make_end_message(flown), wait=True)
+        self.sinks.close()
         flown.summary = summarise_run(self.mission, flown, trace, self.seed, self.sampled)
         if folder is not None:
-            figures = self.tapes.collect_figures()
+            figures = self.sinks.collect_figures()
             flown.summary["recording"] = {**figures, "error": figures["error"] or folder.error}
             try:
                 if loop.array_filter is not None and loop.array_filter.recordings:

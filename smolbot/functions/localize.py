@@ -55,7 +55,13 @@ class LocatedShot(Readable):
         return self.pose is not None and self.pose.trusted
 
     def row(self) -> dict[str, Any]:
-        """The `COLUMNS` of this pose, in the units of their names; nan where there is none."""
+        """Return this pose as a row of the table.
+
+        Returns
+        -------
+        dict
+            The `COLUMNS`, in the units of their names; nan if there is no pose.
+        """
         row: dict[str, Any] = dict.fromkeys(COLUMNS, math.nan)
         if self.pose is None:
             row |= {"r_squared": 0.0, "flip_margin": 1.0}
@@ -107,7 +113,13 @@ class Localization(Readable):
         return sum(pose.trusted for pose in self.poses)
 
     def table(self) -> dict[str, np.ndarray[Any, Any]]:
-        """The `COLUMNS` of all poses as arrays, in the units of their names."""
+        """Return all poses as columns.
+
+        Returns
+        -------
+        dict of str to ndarray
+            The `COLUMNS`, in the units of their names.
+        """
         return as_columns((pose.row() for pose in self.poses), COLUMNS)
 
 

@@ -85,14 +85,31 @@ class Flight(Readable):
         return bool(self.summary["verdict"] == "passed")
 
     def value(self, column: str) -> Any:
-        """The figure of one of the `COLUMNS`; None where this flight has none."""
+        """Return one figure of this flight.
+
+        Parameters
+        ----------
+        column : str
+            One of the `COLUMNS`.
+
+        Returns
+        -------
+        object
+            None if this flight has no such figure.
+        """
         found: Any = self.summary
         for key in COLUMNS[column]:
             found = found.get(key) if isinstance(found, dict) else None
         return found
 
     def row(self) -> dict[str, Any]:
-        """All `COLUMNS` of this flight."""
+        """Return this flight as a row of the table.
+
+        Returns
+        -------
+        dict
+            All `COLUMNS`.
+        """
         return {column: self.value(column) for column in COLUMNS}
 
 
@@ -131,15 +148,33 @@ class Simulation(Readable):
         return any(flight.summary["ideal"] for flight in self.flights)
 
     def columns(self) -> list[str]:
-        """Those of the `COLUMNS` that any flight has."""
+        """Return the names of the columns.
+
+        Returns
+        -------
+        list of str
+            Those of the `COLUMNS` that any flight has.
+        """
         return [column for column in COLUMNS if any(f.value(column) is not None for f in self.flights)]
 
     def table(self) -> dict[str, np.ndarray[Any, Any]]:
-        """Those columns as arrays, a value for each flight."""
+        """Return all flights as columns.
+
+        Returns
+        -------
+        dict of str to ndarray
+            A value for each flight.
+        """
         return as_columns((flight.row() for flight in self.flights), self.columns())
 
     def figures(self) -> dict[str, Any]:
-        """Figures over all flights, as ``simulate --json`` prints them: mean, min and max of each column."""
+        """Compute the figures over all flights.
+
+        Returns
+        -------
+        dict
+            Mean, min and max of each column, as ``simulate --json`` prints them.
+        """
         spread = {}
         for column in COLUMNS:
             values = [v for f in self.flights if isinstance(v := f.value(column), int | float)]

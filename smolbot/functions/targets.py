@@ -18,6 +18,10 @@ from smolbot.localization.device.thinning import Hum
 def check_writable(path: Path) -> None:
     """Refuse a file that cannot be written before time is spent on what it shall hold.
 
+    Parameters
+    ----------
+    path : Path
+
     Raises
     ------
     InputError

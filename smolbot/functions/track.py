@@ -72,7 +72,13 @@ class VideoTrack(Readable):
     analysis: PathAnalysis | None = None
 
     def table(self) -> dict[str, np.ndarray[Any, Any]]:
-        """The columns of ``track.csv`` as arrays, SI, a value for each frame that shows the robot."""
+        """Return the track as columns.
+
+        Returns
+        -------
+        dict of str to ndarray
+            The columns of ``track.csv``, in SI units, a value for each frame that shows the robot.
+        """
         t = self.track
         rows = zip(t.frames, t.times, *t.positions.T, t.headings, t.sigmas, t.shares, strict=True)
         return as_columns((dict(zip(COLUMNS, map(float, row), strict=True)) for row in rows), COLUMNS)
@@ -211,7 +217,7 @@ def _body(config: RobotConfig, mark: str) -> Body:
 def _height(
     given: float | None, poses: RunPoses | None, fiducials: str | Path | None, corners_height: float | None
 ) -> tuple[float, str]:
-    """z of the robot, in m, and where it is known from."""
+    """Find z of the robot, in m, and where it is known from."""
     if given is not None:
         return given, "as given"
     if poses is not None:

@@ -42,7 +42,13 @@ class HeldOut(Readable):
     duration_s: float | None
 
     def figures(self) -> dict[str, Any]:
-        """As ``tune --json`` prints them."""
+        """Return the figures of the held-out worlds.
+
+        Returns
+        -------
+        dict
+            As ``tune --json`` prints them.
+        """
         return {key: value for key, value in asdict(self).items() if key != "costs_mm"}
 
 
@@ -93,12 +99,24 @@ class Tuning(Readable):
     folder: Path | None = None
 
     def table(self) -> dict[str, np.ndarray[Any, Any]]:
-        """Number, state, cost and every gain as arrays, a value for each trial."""
+        """Return all trials as columns.
+
+        Returns
+        -------
+        dict of str to ndarray
+            Number, state, cost and every gain, a value for each trial.
+        """
         rows = [{"trial": t.number, "state": t.state, "cost_mm": t.cost_mm, **t.gains} for t in self.trials]
         return as_columns(rows, ["trial", "state", "cost_mm", *self.tuned.gains])
 
     def figures(self) -> dict[str, Any]:
-        """As ``tune --json`` prints them."""
+        """Return the figures of the tuning.
+
+        Returns
+        -------
+        dict
+            As ``tune --json`` prints them.
+        """
         return {
             "mission": self.mission, "law": self.law, "plant": self.plant, "seed": self.seed,
             "trials": len(self.trials), "worlds": self.worlds, "best_cost_mm": self.best_cost_mm,

@@ -16,10 +16,10 @@ MIN_ODDS = 12.0
 """Chi-square by which every other solution must be worse for a cold start to be trusted (odds of 400 to 1)."""
 
 SAME_POSITION = 2e-3
-"""Distance, in m, within which two fits have one position."""
+"""Distance, in m, within which two fits have the same position."""
 
 SAME_ROTATION = 1.0 + 2.0 * np.cos(np.radians(10.0))
-"""Trace of the relative rotation of two fits above which they have one orientation (10 degrees)."""
+"""Trace of the relative rotation of two fits above which they have the same orientation (10 degrees)."""
 
 FLIPPED_STEPS, FLIPPED_TOLERANCE = 8, 1e-3
 """Iterations of the fit of the flipped orientation, and the relative gain at which it ends."""
@@ -58,7 +58,7 @@ def choose_fit(problem: Problem, found: list[Fit], device: Device, prior: Pose |
 
     Returns
     -------
-    Chosen
+    ChosenFit
     """
     best, flip_margin, odds = found[0], 1.0, np.inf
     along = device.along_cantilever

@@ -93,7 +93,7 @@ def compute_time_basis(
     time_since_drive : float, in s
         From the end of the drive to the recording's first sample.
     bandwidth : float, in Hz
-        Of the sensors' first-order low pass, whose transient has died away.
+        Of the sensors' first-order low pass, whose transient has decayed.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def to_real_functions(basis: ComplexArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_functions, n_out)
-        In the order of `labels`.
+        In the order of `list_labels`.
     """
     return np.array([basis[k, h].imag if part else basis[k, h].real for k, h, part in list_labels()])
 

@@ -103,7 +103,7 @@ def compute_pose_bound(
     positions : array_like, shape (n_poses, 3), in m, world frame
     rotations : array_like, shape (n_poses, 3, 3)
         Rotation matrices, body to world.
-    window : Window
+    window : ListeningWindow
     amplitude : float, optional, in rad
         At the end of the drive; the device's stop if not given.
     trend : int
@@ -135,7 +135,7 @@ class Response:
     device : Device
     noise : NoiseModel
         The true one.
-    window : Window
+    window : ListeningWindow
     amplitude : float, optional, in rad
         At the end of the drive; the device's stop if not given.
     trend : int
@@ -245,7 +245,7 @@ class Response:
         ----------
         values : ndarray, shape (n_poses, n_sensors, K), in T
         slopes : ndarray, shape (n_poses, n_sensors, K, 6), in T/m and T/rad
-            Both from `series`.
+            Both from `compute_channel_series`.
         phase : float, in rad
 
         Returns

@@ -29,7 +29,7 @@ MIN_AMPLITUDE, MAX_AMPLITUDE = 0.1, 0.95
 """Range of the first amplitude, as shares of the largest: a fit must not start at its bound."""
 
 SAME_POSITION, SAME_ROTATION = 1e-3, 1.0 + 2.0 * np.cos(np.radians(5.0))
-"""Two fits are one within this distance, in m, and above this trace of their relative rotation (5 degrees)."""
+"""Two fits are the same within this distance, in m, and above this trace of their relative rotation (5 degrees)."""
 
 MIN_DISTANCE = 2.0
 """Distance of two starts, in grid spacings."""
@@ -40,7 +40,7 @@ GRID_ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class SearchVolume:
-    """Box in the world frame in which a cold start looks for the magnet, in m.
+    """Box in the world frame in which a cold start searches for the magnet, in m.
 
     Examples
     --------

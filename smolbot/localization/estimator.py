@@ -1,4 +1,4 @@
-"""What finds poses in recordings: the protocol that the loop knows, and a base class for a lab's own."""
+"""Protocol of pose estimators as the loop uses them, and a base class for your own."""
 
 from __future__ import annotations
 
@@ -15,63 +15,79 @@ if TYPE_CHECKING:
 
 
 class Oscillation(Protocol):
-    """What a recording says of the oscillation, beside the pose. None: it says nothing of that."""
+    """Protocol of what a fit estimates along with the pose. A method returns None where it has no estimate."""
 
     @property
     def amplitude(self) -> float:
-        """At the end of the drive, in rad."""
+        """Amplitude at the end of the drive, in rad."""
 
     @property
     def covariance(self) -> FloatArray:
-        """Of (position in m, rotation e in rad, amplitude in rad), shape (7, 7); its first six are the pose's."""
+        """Covariance (7, 7) of position in m, rotation e in rad, and amplitude in rad; the first six are the pose's."""
 
     def estimate_resonance_error(self) -> tuple[FloatArray, FloatArray] | None:
-        """Compute by how much the device's resonance differs from what was assumed.
+        """Estimate the error of the assumed frequency and damping.
 
         Returns
         -------
         ndarray, shape (2,)
-            Difference of frequency, in Hz, and damping, in 1/s.
+            Estimated minus assumed frequency, in Hz, and damping, in 1/s.
         ndarray, shape (2, 2)
-            Its covariance.
+            Covariance of both.
         """
 
     def compute_array_terms(self, frames: FloatArray) -> ArrayTerms | None:
-        """Compute what the recording says of the sensors.
+        """Compute the recording's information on the sensors.
 
         Parameters
         ----------
         frames : ndarray, shape (n_sensors, 2, 3)
             Directions of each sensor's tilts.
-        """
-
-    def compute_energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray] | None:
-        """Compute the energy of the fit residuals of each sensor, and what the noise model predicts.
 
         Returns
         -------
-        found, expected : ndarray, shape (n_sensors,)
-            In units of the noise.
+        ArrayTerms or None
+        """
+
+    def compute_energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray] | None:
+        """Compute the energy of the fit residuals of each sensor, and its expected value under a noise model.
+
+        Parameters
+        ----------
+        recording : Recording
+        noise : NoiseModel
+
+        Returns
+        -------
+        tuple of ndarray, shape (n_sensors,), or None
+            Energy and expected energy, in units of the noise.
         """
 
 
 class PoseEstimator(Protocol):
-    """What finds poses in recordings. An entry point of ``smolbot.estimators`` names a class that keeps it.
+    """Protocol of pose estimators. An entry point of ``smolbot.estimators`` names a class that keeps it.
 
-    It is immutable: whatever a flight learns gives another one. `PoseEstimatorBase` has all of it but `locate`.
+    An estimator is immutable: everything that a flight learns makes a new one. `PoseEstimatorBase` has all methods
+    but `locate`.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+    device : Device
+    volume : SearchVolume
 
     Attributes
     ----------
     learns : frozenset of str
-        What it can be told beside the device, an attribute of the class: ``noise`` (shots are listened to before the
-        first cycle), ``transients`` (how excitation coils decay is learned then too), ``sensors`` (in flight).
+        What it uses besides the device, an attribute of the class: ``noise`` (background noise is recorded before the
+        first cycle), ``transients`` (so is the decay of the excitation coils), ``sensors`` (learned in flight).
     sensors : SensorArray
     device : Device
     volume : SearchVolume
         Where the robot can be.
     noise : NoiseModel or None
     transients : tuple of float, in s
-        Time constants of the excitation coils; empty where they are not known.
+        Time constants of the excitation coils; empty if they are not known.
     """
 
     learns: ClassVar[frozenset[str]]
@@ -82,62 +98,107 @@ class PoseEstimator(Protocol):
     transients: tuple[float, ...]
 
     def __init__(self, sensors: SensorArray, device: Device, *, volume: SearchVolume) -> None:
-        """Make the estimator that a flight begins with."""
+        """Make the estimator with which a flight begins."""
 
     def locate_swing(self, recording: Recording, prior: Pose | None = None) -> tuple[Pose, Oscillation | None]:
-        """Find the pose at the middle of a recording, and what can be learned along with it.
+        """Estimate the pose at the middle of a recording, and what can be learned along with it.
 
         Parameters
         ----------
         recording : Recording
         prior : Pose, optional
-            Where the device is expected; None where it has to be searched for.
+            Predicted pose; None if the device must be searched for.
 
         Returns
         -------
         Pose
-            ``trusted`` is false where nobody should act on it.
+            ``trusted`` is false if the pose must not be used for control.
         Oscillation or None
-            None where nothing is to be learned.
+            None if nothing can be learned.
 
         Raises
         ------
         InputError
-            Where the recording holds no pose: it counts as a missed one.
+            If no pose can be estimated; the recording then counts as missed.
         """
 
     def with_sensors(self, sensors: SensorArray) -> Self:
-        """Return the same estimator for sensors as they were learned."""
+        """Return this estimator for another sensor array.
+
+        Parameters
+        ----------
+        sensors : SensorArray
+            As learned.
+
+        Returns
+        -------
+        PoseEstimator
+        """
 
     def with_device(self, device: Device) -> Self:
-        """Return the same estimator for a device as it was learned."""
+        """Return this estimator for another device.
+
+        Parameters
+        ----------
+        device : Device
+            As learned.
+
+        Returns
+        -------
+        PoseEstimator
+        """
 
     def with_noise(self, noise: NoiseModel) -> Self:
-        """Return the same estimator under another noise model."""
+        """Return this estimator for another noise model.
+
+        Parameters
+        ----------
+        noise : NoiseModel
+
+        Returns
+        -------
+        PoseEstimator
+        """
 
     def with_transients(self, transients: tuple[float, ...]) -> Self:
-        """Return the same estimator for excitation coils whose decay was learned, time constants in s."""
+        """Return this estimator for other excitation coils.
+
+        Parameters
+        ----------
+        transients : tuple of float, in s
+            Learned time constants of the excitation coils.
+
+        Returns
+        -------
+        PoseEstimator
+        """
 
     def warm_up(self, half_periods: int, sample_rate: float, ring_down: float, frames: FloatArray | None) -> None:
-        """Do once whatever is slow the first time, so that the first cycles are as quick as the rest.
+        """Run everything once that is slow at its first call, so that the first cycles are as fast as the rest.
 
         Parameters
         ----------
         half_periods : int
-            That a flight listens for.
+            Length of a listening window.
         sample_rate : float, in Hz
         ring_down : float, in s
             From the end of a drive to the first sample.
-        frames : ndarray, shape (n_sensors, 2, 3), optional
-            Where the sensors are learned; see `Oscillation.compute_array_terms`.
+        frames : ndarray, shape (n_sensors, 2, 3), or None
+            Directions of each sensor's tilts, if sensors are learned; see `Oscillation.compute_array_terms`.
         """
 
 
 class PoseEstimatorBase:
     """A `PoseEstimator` that learns nothing: a subclass needs `locate` alone.
 
-    What it is told by ``with_sensors`` and the like makes a new one by the constructor; a subclass that takes other
-    arguments, or keeps more, overrides `rebuild`.
+    ``with_sensors`` and its siblings call the constructor; a subclass whose constructor takes other arguments, or
+    that has more state, overrides `rebuild`.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+    device : Device
+    volume : SearchVolume, optional
 
     Examples
     --------
@@ -145,7 +206,7 @@ class PoseEstimatorBase:
     ...     def locate(self, recording, prior=None):
     ...         return prior
     >>> from smolbot.config.plugins import check_protocol
-    >>> check_protocol(Nowhere, PoseEstimator, "Nowhere")  # says nothing: it keeps the protocol
+    >>> check_protocol(Nowhere, PoseEstimator, "Nowhere")  # raises nothing: it keeps the protocol
     """
 
     learns: ClassVar[frozenset[str]] = frozenset()
@@ -158,36 +219,117 @@ class PoseEstimatorBase:
         self.volume = volume or SearchVolume()
 
     def locate(self, recording: Recording, prior: Pose | None = None) -> Pose:
-        """Find the pose at the middle of a recording; see `PoseEstimator.locate_swing`."""
+        """Estimate the pose at the middle of a recording.
+
+        Parameters
+        ----------
+        recording : Recording
+        prior : Pose, optional
+            Predicted pose; None if the device must be searched for.
+
+        Returns
+        -------
+        Pose
+        """
         raise NotImplementedError(f"{type(self).__name__} has neither locate nor locate_swing.")
 
     def locate_swing(self, recording: Recording, prior: Pose | None = None) -> tuple[Pose, Oscillation | None]:
-        """Find the pose by `locate`, and learn nothing along with it."""
+        """Estimate the pose by `locate`, and learn nothing along with it.
+
+        Parameters
+        ----------
+        recording : Recording
+        prior : Pose, optional
+
+        Returns
+        -------
+        pose : Pose
+        swing : None
+        """
         return self.locate(recording, prior), None
 
     def with_sensors(self, sensors: SensorArray) -> Self:
-        """Return the same estimator for sensors as they were learned."""
+        """Return this estimator for another sensor array.
+
+        Parameters
+        ----------
+        sensors : SensorArray
+            As learned.
+
+        Returns
+        -------
+        PoseEstimatorBase
+        """
         return self.rebuild(sensors, self.device, self.noise, self.transients)
 
     def with_device(self, device: Device) -> Self:
-        """Return the same estimator for a device as it was learned."""
+        """Return this estimator for another device.
+
+        Parameters
+        ----------
+        device : Device
+            As learned.
+
+        Returns
+        -------
+        PoseEstimatorBase
+        """
         return self.rebuild(self.sensors, device, self.noise, self.transients)
 
     def with_noise(self, noise: NoiseModel) -> Self:
-        """Return the same estimator under another noise model."""
+        """Return this estimator for another noise model.
+
+        Parameters
+        ----------
+        noise : NoiseModel
+
+        Returns
+        -------
+        PoseEstimatorBase
+        """
         return self.rebuild(self.sensors, self.device, noise, self.transients)
 
     def with_transients(self, transients: tuple[float, ...]) -> Self:
-        """Return the same estimator for excitation coils whose decay was learned, time constants in s."""
+        """Return this estimator for other excitation coils.
+
+        Parameters
+        ----------
+        transients : tuple of float, in s
+            Learned time constants of the excitation coils.
+
+        Returns
+        -------
+        PoseEstimatorBase
+        """
         return self.rebuild(self.sensors, self.device, self.noise, transients)
 
     def rebuild(
         self, sensors: SensorArray, device: Device, noise: NoiseModel | None, transients: tuple[float, ...]
     ) -> Self:
-        """Make an estimator like this one from what it is told."""
+        """Make an estimator like this one for other sensors, device, noise and transients.
+
+        Parameters
+        ----------
+        sensors : SensorArray
+        device : Device
+        noise : NoiseModel or None
+        transients : tuple of float, in s
+
+        Returns
+        -------
+        PoseEstimatorBase
+        """
         other = type(self)(sensors, device, volume=self.volume)
         other.noise, other.transients = noise, transients
         return other
 
     def warm_up(self, half_periods: int, sample_rate: float, ring_down: float, frames: FloatArray | None) -> None:
-        """Nothing is slow the first time."""
+        """Do nothing: no call is slower the first time.
+
+        Parameters
+        ----------
+        half_periods : int
+        sample_rate : float, in Hz
+        ring_down : float, in s
+        frames : ndarray, shape (n_sensors, 2, 3), or None
+        """

@@ -39,7 +39,7 @@ def compute_expected_covariance(
     """Compute the covariance of the ``paper`` estimator at a pose, with phase and amplitude free.
 
     The noise of a fit is not white after the chain: mains lines have the same phase in all
-    sensors and last the whole window. Their phase is uniform, their direction and gradient random.
+    sensors and last the complete window. Their phase is uniform, their direction and gradient random.
 
     Parameters
     ----------
@@ -61,8 +61,8 @@ def compute_expected_covariance(
         Of (position in m, rotation e in rad), averaged over four phases of the oscillation.
     """
     n_samples = round(half_periods * sample_rate / (2.0 * device.frequency))
-    everyone = np.ones(len(sensors), dtype=np.bool_).tobytes()
-    model = make_paper_model(sensors, device, everyone, n_samples, sample_rate, time_since_drive)
+    usable = np.ones(len(sensors), dtype=np.bool_).tobytes()
+    model = make_paper_model(sensors, device, usable, n_samples, sample_rate, time_since_drive)
     size = (device.theta_max if amplitude is None else amplitude) / time_functions.REFERENCE_ANGLE
     parts = compute_noise_parts(sensors, noise, model.chain, sample_rate, model.mixing)
     covariances = []

@@ -144,9 +144,9 @@ def evaluate_model(
     moment : ndarray, shape (3,), in A·m², body frame
     l0 : float, in m
     angles : ndarray, shape (K,), in rad
-        Nodes of the interpolation; see `series`.
+        Nodes of the interpolation; see `compute_series`.
     powers : ndarray, shape (K, K)
-        Coefficients of the power series; see `series`.
+        Coefficients of the power series; see `compute_series`.
     position : ndarray, shape (3,), in m, world frame
         Of the rotation centre.
     rotation : ndarray, shape (3, 3)
@@ -335,18 +335,18 @@ def fit(
     ----------
     data : ndarray, shape (n_out,)
     matrix : ndarray, shape (n_functions, n_channels, n_out)
-        Response of the linear chain; see `model`.
+        Response of the linear chain; see `evaluate_model`.
     labels : ndarray of int, shape (n_functions, 3)
-        See `model`.
+        See `evaluate_model`.
     positions : ndarray, shape (n_channels, 3), in m, world frame
         Of the sensors.
     axes : ndarray, shape (n_channels, 3), world frame
     moment : ndarray, shape (3,), in A·m², body frame
     l0 : float, in m
     angles : ndarray, shape (K,), in rad
-        See `series`.
+        See `compute_series`.
     powers : ndarray, shape (K, K)
-        See `series`.
+        See `compute_series`.
     position : ndarray, shape (3,), in m, world frame
         Start.
     rotation : ndarray, shape (3, 3)
@@ -456,18 +456,18 @@ def estimate_phase_and_amplitude(
     ----------
     data : ndarray, shape (n_out,)
     matrix : ndarray, shape (n_functions, n_channels, n_out)
-        Response of the linear chain; see `model`.
+        Response of the linear chain; see `evaluate_model`.
     labels : ndarray of int, shape (n_functions, 3)
-        See `model`.
+        See `evaluate_model`.
     positions : ndarray, shape (n_channels, 3), in m, world frame
         Of the sensors.
     axes : ndarray, shape (n_channels, 3), world frame
     moment : ndarray, shape (3,), in A·m², body frame
     l0 : float, in m
     angles : ndarray, shape (K,), in rad
-        See `series`.
+        See `compute_series`.
     powers : ndarray, shape (K, K)
-        See `series`.
+        See `compute_series`.
     position : ndarray, shape (3,), in m, world frame
     rotation : ndarray, shape (3, 3)
         Body to world.

@@ -30,29 +30,30 @@ from smolbot.localization.segments import SharedAmplitude, cut_segments, find_an
 Estimator = Literal["whitened", "paper"]
 
 MIN_R_SQUARED = 0.7
-"""Below this a fit explains too little of the signal to act on."""
+"""R² below which a fit explains too little of the signal to be trusted."""
 
 MIN_AMPLITUDE = 0.05
-"""Share of the stop below which a swing is no better than the mains line next to it."""
+"""Amplitude, as a share of the stop's, below which a swing is not stronger than a mains line."""
 
 TREND_HALF_PERIODS = (6.0, 10.0)
-"""Half-periods from which a slope, and a slope and a curve, are left free in every channel: each costs at most 1.5 %
-of the bound there. Tools that move past, or a device that moves, make them; a constant alone would not do."""
+"""Half-periods from which a slope, and a slope and a curvature, are free in every channel: each costs at most 1.5 %
+of the bound there. They are caused by tools that move past, or by motion of the device."""
 
 FALLBACK_TREND = 1
-"""Degree up to which a short window is freed where it would else not be understood."""
+"""Degree of the polynomial in a short window that is not explained otherwise."""
 
 MAX_MISFIT = 3.0
-"""Variance of whitened residuals above which something else than noise is heard."""
+"""Variance of whitened residuals above which they contain more than noise."""
 
 MAX_SIGMA = (3e-3, 0.2)
-"""Standard deviations, in m and rad, beyond which a pose is not worth acting on."""
+"""Standard deviations, in m and rad, above which a pose is not trusted."""
 
 
 _WITHOUT_PHASE = np.ix_([0, 1, 2, 3, 4, 5, 7], [0, 1, 2, 3, 4, 5, 7])
 
 MAX_ROLL = 1.0
-"""The same, in rad, for the turn about the moment in a series of segments: only the cantilever's length tells it."""
+"""The same, in rad, for the turn about the moment in consecutive segments: it is measured through the cantilever's
+length alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +103,17 @@ class Swing:
         return compute_residual_variance(self._problem, self._fit)
 
     def compute_energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray] | None:
-        """What is left in each channel, and what `noise` foretells, each (n_sensors,) in units of the noise.
+        """Compute the energy of the fit residuals of each channel, and its expected value under a noise model.
 
-        None of a fit that knows no noise.
+        Parameters
+        ----------
+        recording : Recording
+        noise : NoiseModel
+
+        Returns
+        -------
+        tuple of ndarray, shape (n_sensors,), or None
+            Energy and expected energy, in units of the noise; None for a fit without a noise model.
         """
         model = self._problem.model
         return compute_energies(model, self._fit, recording, noise) if model.white else None
@@ -146,17 +155,17 @@ class Localizer(PoseEstimatorBase):
     ----------
     sensors : SensorArray
     device : Device
-        As it is believed to be; replaced, not changed, when it is learned anew.
+        As assumed. A localizer is immutable: a device that was learned needs a new one.
     noise : NoiseModel, optional
-        Learned from quiet recordings; without it a plausible one is assumed. Only ``whitened`` uses it.
+        Learned from recordings of background noise; without it a typical one is assumed. Only ``whitened`` uses it.
     estimator : {"whitened", "paper"}
         ``whitened``: generalised least squares under the noise model, all channels, a free constant in each.
         ``paper``: the paper's chain with an unweighted Levenberg-Marquardt fit (Eqs. S2 to S8, S20 to S23).
     volume : SearchVolume
-        Where a cold start looks, and where a trusted pose may lie.
+        Where a cold start searches, and where a trusted pose may lie.
     transients : tuple of float, in s
-        Learned time constants of the excitation coils' ring-down; ``whitened`` tells it from the signal
-        where a recording starts before it is over.
+        Learned time constants of the excitation coils' ring-down; ``whitened`` separates it from the signal
+        if a recording starts before it is over.
 
     Notes
     -----
@@ -190,24 +199,47 @@ class Localizer(PoseEstimatorBase):
         self.estimator = estimator
         self.transients = tuple(transients)
         if estimator == "paper":
-            self.learns = frozenset()  # type: ignore[misc]  # of the class for all that are named in missions
+            self.learns = frozenset()  # type: ignore[misc]  # `Paper` sets it for the class
 
     def rebuild(
         self, sensors: SensorArray, device: Device, noise: NoiseModel | None, transients: tuple[float, ...]
     ) -> Localizer:
-        """Make a localizer like this one from what it is told."""
+        """Make a localizer like this one for other sensors, device, noise and transients.
+
+        Parameters
+        ----------
+        sensors : SensorArray
+        device : Device
+        noise : NoiseModel or None
+        transients : tuple of float, in s
+
+        Returns
+        -------
+        Localizer
+        """
         return Localizer(sensors, device, noise, self.estimator, self.volume, transients)
 
     def warm_up(self, half_periods: int, sample_rate: float, ring_down: float, frames: FloatArray | None) -> None:
-        """Use every compiled kernel once, on a made-up recording; see `PoseEstimator.warm_up`."""
+        """Use every compiled kernel once, on a synthetic recording.
+
+        Parameters
+        ----------
+        half_periods : int
+            Length of a listening window.
+        sample_rate : float, in Hz
+        ring_down : float, in s
+            From the end of a drive to the first sample.
+        frames : ndarray, shape (n_sensors, 2, 3), or None
+            Directions of each sensor's tilts, if sensors are learned.
+        """
         device = self.device
         orientation = quaternion_from_axes(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), "zy")
         samples = round(half_periods * sample_rate / (2.0 * device.frequency))
         time_ = ring_down + np.arange(samples) / sample_rate
         theta = compute_deflection(device, time_, 0.5 * device.theta_max, 0.3)
         middle = 0.5 * np.add(self.volume.low, self.volume.high)
-        heard = compute_sensor_field(self.sensors, device, middle, orientation, theta)
-        recording = Recording(heard, sample_rate, ring_down)
+        field = compute_sensor_field(self.sensors, device, middle, orientation, theta)
+        recording = Recording(field, sample_rate, ring_down)
         _, swing = self.locate_swing(recording, self.locate(recording))
         if frames is not None:
             swing.compute_array_terms(frames)
@@ -225,8 +257,8 @@ class Localizer(PoseEstimatorBase):
         Returns
         -------
         Pose
-            `trusted` is false where the fit explains too little, another pose explains the data as well, or
-            the fit ends outside the search volume.
+            `trusted` is false if the fit explains too little of the signal, if another pose explains the data as
+            well, or if the fit ends outside the search volume.
 
         Raises
         ------
@@ -313,10 +345,10 @@ class Localizer(PoseEstimatorBase):
         """
         shared = SharedAmplitude.from_device(self.device)
         poses: list[Pose] = []
-        told = prior
+        given = prior
         for segment in cut_segments(recording, self.device, half_periods):
             shared = shared.predict(self.device, segment.time_since_drive)
-            pose, swing, share = self._locate_segment(segment, prior, shared, stale=prior is told)
+            pose, swing, share = self._locate_segment(segment, prior, shared, stale=prior is given)
             poses.append(pose)
             if pose.trusted:
                 shared = shared.update(swing.amplitude / share, float(np.sqrt(swing.covariance[6, 6])) / share)
@@ -329,16 +361,15 @@ class Localizer(PoseEstimatorBase):
     ) -> tuple[Pose, Swing, float]:
         """Return a segment's pose, its swing at its model's start time, and the amplitude's share at that time.
 
-        `stale`: the prior is from before this recording; a fit from it that explains little is started cold as
-        well.
+        `stale`: the prior is older than this recording; if a fit from it explains little, a cold start is tried too.
         """
         ringing = NEGLIGIBLE_AFTER * max(self.transients, default=0.0)
         anchored, share = find_anchor(self.device, segment.time_since_drive, ringing)
-        heard = replace(segment, time_since_drive=anchored)
+        shifted = replace(segment, time_since_drive=anchored)
         outcomes: list[tuple[float, Pose, Swing]] = []
         lowest = self.free_trend(segment)
         for trend in range(lowest, max(lowest, FALLBACK_TREND if self.estimator == "whitened" else 0) + 1):
-            problem = self.prepare(heard, trend)
+            problem = self.prepare(shifted, trend)
             problem = Problem(replace(problem.model, device=shared.scale_device(self.device, share)), problem.data)
             if prior is None:
                 found = find_best_fits(problem, self.volume)
@@ -415,7 +446,7 @@ class Localizer(PoseEstimatorBase):
         return pose, Swing.from_fit(problem, best, variance, spread if usable else None)
 
     def _is_determined(self, spread: FloatArray, fit: Fit, steady: bool) -> bool:
-        """Return whether a fit of covariance `spread` determines position and direction well enough to act on."""
+        """Return whether a fit of covariance `spread` determines position and direction well enough to be trusted."""
         placed = max(spread[0, 0], spread[1, 1], spread[2, 2]) < MAX_SIGMA[0] ** 2
         return bool(placed) and self._is_direction_determined(spread[3:6, 3:6], fit, steady)
 
@@ -434,7 +465,14 @@ class Localizer(PoseEstimatorBase):
 
 
 class Paper(Localizer):
-    """The ``paper`` estimator, as missions name it; ``whitened`` is `Localizer` itself."""
+    """Localizer with the ``paper`` estimator, under the name that missions use; ``whitened`` is `Localizer` itself.
+
+    Parameters
+    ----------
+    sensors : SensorArray
+    device : Device
+    volume : SearchVolume, optional
+    """
 
     learns: ClassVar[frozenset[str]] = frozenset()
 
@@ -443,7 +481,7 @@ class Paper(Localizer):
 
 
 def _is_near_prior(pose: Pose, prior: Pose) -> bool:
-    """Return whether a pose that is too uncertain to act on may still start the next fit."""
+    """Return whether a pose that is not trusted may still start the next fit."""
     vague = float(np.sqrt(np.diag(pose.covariance)[:3].max()))
     return vague < MAX_SIGMA[0] and float(np.linalg.norm(pose.position - prior.position)) < 2.0 * MAX_SIGMA[0]
 

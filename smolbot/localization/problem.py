@@ -84,9 +84,9 @@ class LinearModel:
     free : ndarray, shape (n_taps, n_free)
         Time functions with a free size in every channel, which carry no information on the device.
     separable : bool
-        True where `mixing` acts on channels alone, for every tap alike.
+        True if `mixing` acts on channels alone, in the same way for every tap.
     white : bool
-        True where the data vector's noise is white and of unit variance.
+        True if the data vector's noise is white and of unit variance.
     common : LinearModel, optional
         The part that is the same for every array; see `array_independent`.
     """
@@ -107,7 +107,7 @@ class LinearModel:
 
     @property
     def amplitude_max(self) -> float:
-        """Stop of the deflection, with room for its own error, as a fraction of the reference angle."""
+        """Stop of the deflection, with a margin for its own error, as a fraction of the reference angle."""
         return AMPLITUDE_SLACK * self.device.theta_max / time_functions.REFERENCE_ANGLE
 
     @property
@@ -124,14 +124,14 @@ class LinearModel:
 
     @cached_property
     def amplitude_prior(self) -> FloatArray:
-        """Prior of the amplitude: mean and inverse variance (0, so no prior, where the noise is not scaled)."""
+        """Prior of the amplitude: mean and inverse variance (0, so no prior, if the noise is not white)."""
         scale = time_functions.REFERENCE_ANGLE
         mean, std = self.device.amplitude_prior
         return np.array([mean / scale, (scale / std) ** 2 if self.white else 0.0])
 
     @cached_property
     def constants(self) -> tuple[Any, ...]:
-        """First arguments of every kernel of the fit."""
+        """First arguments of all kernels of the fit."""
         return (
             np.ascontiguousarray(self.matrix.transpose(1, 2, 0)),
             time_functions.list_labels(),
@@ -221,8 +221,8 @@ def make_paper_model(
     )
 
     def through(functions: FloatArray) -> FloatArray:
-        answers = np.einsum("qj,fi->qifj", mixing, functions)
-        return np.ascontiguousarray(answers.reshape(-1, len(functions), int(used.sum())))
+        responses = np.einsum("qj,fi->qifj", mixing, functions)
+        return np.ascontiguousarray(responses.reshape(-1, len(functions), int(used.sum())))
 
     return LinearModel(
         device=device,
@@ -256,8 +256,8 @@ class Problem:
     @cached_property
     def total_sum_of_squares(self) -> float:
         """Total sum of squares (Eq. S21); of whitened data about zero, since their mean has no meaning."""
-        off = self.data if self.model.white else self.data - self.data.mean()
-        return float(np.vdot(off, off))
+        centered = self.data if self.model.white else self.data - self.data.mean()
+        return float(np.vdot(centered, centered))
 
     def fit(
         self,
@@ -310,7 +310,7 @@ class Problem:
         covariance : ndarray, shape (2, 2)
             Infinite where undetermined.
         """
-        # what a change of frequency or damping does to the samples, less what the eight parameters explain
+        # effect of frequency and damping on the samples, without the part that the eight parameters explain
         model = self.model
         place = (fit.position, fit.rotation, fit.phase, fit.amplitude)
         out, jacobian = model.compute_response(*place)
@@ -342,7 +342,8 @@ class Problem:
         """
         place = (np.array(position), np.array(rotation, order="C"))
         top = self.model.amplitude_max
-        phase, size = _kernels.estimate_phase_and_amplitude(self.data, *self.model.constants, *place, FIRST_AMPLITUDE * top)
+        start = *self.model.constants, *place, FIRST_AMPLITUDE * top
+        phase, size = _kernels.estimate_phase_and_amplitude(self.data, *start)
         return phase, min(max(size, MIN_FIRST * top), MAX_FIRST * top)
 
 
@@ -375,9 +376,9 @@ def find_usable_channels(recording: Recording, sensors: SensorArray, device: Dev
     InputError
         If the recording does not fit sensors or device, no drive preceded it, or the drive was too long ago.
     """
-    heard = len(recording.field)
-    if heard != len(sensors):
-        raise InputError(f"The recording has {heard} channels; the sensor array has {len(sensors)} sensors.")
+    n_channels = len(recording.field)
+    if n_channels != len(sensors):
+        raise InputError(f"The recording has {n_channels} channels; the sensor array has {len(sensors)} sensors.")
     if not np.isfinite(recording.time_since_drive) or recording.time_since_drive < 0:
         raise InputError(
             "A pose needs a recording after a drive, with time_since_drive of at least 0 s; "

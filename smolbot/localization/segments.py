@@ -20,7 +20,7 @@ DAMPING_ERROR = 0.05
 """Relative standard deviation of the damping: it makes an early amplitude uncertain later."""
 
 AMPLITUDE_FLOOR = 0.002
-"""Smallest relative standard deviation of an amplitude: sensors are not exactly where they should be."""
+"""Smallest relative standard deviation of an amplitude, due to errors of the sensor array."""
 
 MAX_SIGMAS = 4.0
 """Standard deviations above which an amplitude is rejected; the standard deviation is widened instead."""
@@ -80,7 +80,7 @@ def compute_remaining_share(device: Device, time: float) -> float:
     Returns
     -------
     float
-        At least `LEAST`.
+        At least `MIN_AMPLITUDE_SHARE`.
     """
     if device.damping_model == "linear":
         return max(1.0 - device.damping * time, MIN_AMPLITUDE_SHARE)

@@ -3,8 +3,8 @@
 Everywhere `measured` d and `truth` f have k values along the first axis and n datasets along the
 second; an array of shape (k,) is one dataset. Units are those of the data; circular data are in rad.
 
-Where the print is wrong or leaves a choice: S26 divides by kn - 1, although n means are subtracted from
-the data (the paper's choice, kept); S27 takes the modulus of a difference that may lie anywhere on the
+Where the printed equations are wrong or ambiguous: S26 divides by kn - 1, although n means are subtracted
+from the data (the paper's choice, kept); S27 takes the modulus of a difference that may lie anywhere on the
 circle, so the difference is first wrapped to (-pi, pi]; S29 needs the factor 1/(kn), or S28 is the
 root of a negative number.
 """

@@ -25,13 +25,24 @@ class SyntheticSwing:
     covariance: FloatArray
 
     def estimate_resonance_error(self) -> None:
-        """Nothing is known of it."""
+        """Return None: there is no estimate."""
 
     def compute_array_terms(self, frames: FloatArray) -> None:
-        """Nothing is known of it."""
+        """Return None: there is no information on the sensors.
+
+        Parameters
+        ----------
+        frames : ndarray, shape (n_sensors, 2, 3)
+        """
 
     def compute_energies(self, recording: Recording, noise: NoiseModel) -> None:
-        """Nothing is known of them."""
+        """Return None: there are no residuals.
+
+        Parameters
+        ----------
+        recording : Recording
+        noise : NoiseModel
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +78,8 @@ class SyntheticRecording(Recording):
     ----------
     time : float, in s
         Middle of the window, on the rig's clock.
-    fit : Fitted or None
-        None where nothing was driven.
+    fit : SyntheticFit or None
+        None if nothing was driven.
     """
 
     time: float = 0.0
@@ -76,14 +87,17 @@ class SyntheticRecording(Recording):
 
 
 class SyntheticLocalizer(PoseEstimatorBase):
-    """Takes `Localizer`'s place where a rig hands out sightings. It holds no truth: all it knows is in a sighting.
+    """Replaces `Localizer` for a rig that simulates pose fixes. It has no ground truth, only the simulated fixes.
 
     Parameters
     ----------
-    sensors, device, volume
-        As the localizer believes in them.
+    sensors : SensorArray
+        As the localizer assumes them.
+    device : Device
+        As the localizer assumes it.
+    volume : SearchVolume, optional
     transients : tuple of float, in s
-        Time constants of the excitation coils, as they are believed to be: there is no signal to learn them from.
+        Assumed time constants of the excitation coils: there is no signal to learn them from.
     """
 
     def __init__(
@@ -99,8 +113,6 @@ class SyntheticLocalizer(PoseEstimatorBase):
     def locate_swing(self, recording: Recording, prior: Pose | None = None) -> tuple[Pose, SyntheticSwing]:
         """Return pose and oscillation of a simulated fix, checked by the rules of `Localizer`.
 
-        Depends on its arguments alone.
-
         Parameters
         ----------
         recording : Recording
@@ -111,18 +123,18 @@ class SyntheticLocalizer(PoseEstimatorBase):
         Returns
         -------
         pose : Pose
-        swing : SightedSwing
+        swing : SyntheticSwing
 
         Raises
         ------
         InputError
-            Where nothing was measured, as with a recording that has too few usable channels.
+            If nothing was measured, as with a recording that has too few usable channels.
         """
         if not isinstance(recording, SyntheticRecording) or recording.fit is None:
             raise InputError("This recording holds no pose: nothing was driven before it.")
         fitted = recording.fit
         if not math.isfinite(fitted.covariance[0, 0]):
-            raise InputError("This recording holds no pose: too little of a swing was heard.")
+            raise InputError("This recording holds no pose: the swing was too small to measure.")
         orientation = choose_nearer_orientation(fitted.orientation, None if prior is None else prior.orientation)
         pose = Pose(
             recording.time,
@@ -148,10 +160,18 @@ class SyntheticPoseRig(Protocol):
     """A rig that simulates no signals, but pose fixes with the errors that a localizer would have."""
 
     def make_synthetic_localizer(self, localizer: PoseEstimator) -> PoseEstimator:
-        """What takes the place of `localizer`; from now on the rig errs as that one would.
+        """Make the replacement of a localizer; from now on the rig simulates the errors of that localizer.
+
+        Parameters
+        ----------
+        localizer : PoseEstimator
+
+        Returns
+        -------
+        PoseEstimator
 
         Raises
         ------
         InputError
-            If it does not know how that one errs.
+            If the rig has no error model of this localizer.
         """

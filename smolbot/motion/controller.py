@@ -43,7 +43,7 @@ class Gain:
 
 @dataclass(frozen=True)
 class Cycle:
-    """The localization part of every cycle. SI units.
+    """Localization part of every cycle. SI units.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything a controller may know of its world: beliefs, never truth.
+    """Everything a controller may know of its world: model parameters, never ground truth.
 
     Attributes
     ----------
@@ -155,19 +155,19 @@ class Command:
     window : Actuate, Rotate, a tuple of mechanical windows, or None
         Mechanical windows are played as a shot of their own. None: do nothing this cycle but listen.
     saturated : bool
-        True where a limit cut the command short.
+        True if a limit reduced the command.
     note : str
         For people, and for the record.
     progress : float, in m
-        Arc length of the path that lies behind. A law need not tell it; analyses of its margins need it.
+        Arc length of the path that was covered. Optional, but needed to analyse the controller's margins.
     phase : {"approach", "follow"}
         On the way to the path's start, or on the path.
     done : bool
         True once the path's end is reached.
     stuck : bool
-        True where the controller gives up; its note says why.
+        True if the controller gives up; the note gives the reason.
     event : str
-        Something that a reader of the record should find, such as a step-out.
+        Event to record, such as a step-out; empty if there is none.
 
     Examples
     --------
@@ -213,15 +213,20 @@ class ForceProfile:
 
 
 class Controller(Protocol):
-    """What every controller has. It is made once per mission from a setup and its gains.
+    """Protocol of controllers. One is made per mission, from a setup and its gains.
 
-    It may also keep the protocols below, each of one member, which nothing depends on: `RobotKinds`, `ForceForecast`,
+    A controller may also keep the protocols below, all of which are optional: `RobotKinds`, `ForceForecast`,
     `BendForecast`, `PlaybackAware`.
+
+    Parameters
+    ----------
+    setup : Setup
+    gains : mapping of str to float
 
     Attributes
     ----------
     gains : mapping of str to Gain
-        What a user may tune, by name; an attribute of the class.
+        Numbers that a user may tune, by name; an attribute of the class.
 
     Examples
     --------
@@ -245,7 +250,7 @@ class Controller(Protocol):
         Parameters
         ----------
         setup : Setup
-            That of a helical robot is a `HelixSetup`.
+            A `HelixSetup` for a helical robot.
         gains : mapping of str to float
             Gains that differ from their defaults.
         """
@@ -257,16 +262,16 @@ class Controller(Protocol):
         ----------
         path : Curve
         pose : Pose
-            Where the robot is when the first command begins.
+            Of the robot when the first command begins.
         """
 
     def command(self, pose: Pose) -> Command:
-        """Decide what to do next.
+        """Compute the next command.
 
         Parameters
         ----------
         pose : Pose
-            Where the robot is when the command begins.
+            Of the robot when the command begins.
 
         Returns
         -------
@@ -281,7 +286,7 @@ class RobotKinds(Protocol):
     Attributes
     ----------
     kinds : tuple of str
-        Kinds of robot that it drives, as robot files name them; an attribute of the class.
+        Kinds of robot that it steers, as in robot files; an attribute of the class.
     """
 
     kinds: ClassVar[tuple[str, ...]]
@@ -289,10 +294,10 @@ class RobotKinds(Protocol):
 
 @runtime_checkable
 class ForceForecast(Protocol):
-    """A controller of a robot that coils pull, which can tell the force that it would exert along a path."""
+    """A controller of a gradient-pulled robot that can compute its force along a path."""
 
     def reach(self, path: Curve) -> ForceProfile:
-        """Compute the force along a path, which `preview` shows.
+        """Compute the controller's force along a path, which `preview` shows.
 
         Parameters
         ----------
@@ -300,16 +305,16 @@ class ForceForecast(Protocol):
 
         Returns
         -------
-        Reach
+        ForceProfile
         """
 
 
 @runtime_checkable
 class BendForecast(Protocol):
-    """A controller of a helical robot, which can tell how tightly that robot turns."""
+    """A controller of a helical robot that can compute how tightly the robot turns."""
 
     def tightest_bend(self) -> float:
-        """Compute the radius of the tightest bend, by which `preview` judges a path.
+        """Compute the radius of the tightest possible bend, which `preview` compares with the path.
 
         Returns
         -------
@@ -319,14 +324,14 @@ class BendForecast(Protocol):
 
 @runtime_checkable
 class PlaybackAware(Protocol):
-    """A controller that learns from what its commands do."""
+    """A controller that learns from the effect of its commands."""
 
     def unplayed(self) -> None:
-        """Forget the last command: it was not played, since the loop was held or had lost the signal."""
+        """Forget the last command: it was not played, since the loop was paused or had lost the signal."""
 
 
 def robot_kinds(law: type[Controller]) -> tuple[str, ...]:
-    """Kinds of robot that a controller class drives: ``gradient`` where it does not say.
+    """Return the kinds of robot that a controller class steers: ``gradient`` unless it names others.
 
     Parameters
     ----------

@@ -14,10 +14,10 @@ MAX_STEP = 2e-3
 """Longest step of the integration, in s; alignment takes tens of ms."""
 
 MAX_COARSE_STEP = 6e-3
-"""Step, in s, with which a turn is followed whose size alone is asked for."""
+"""Longest step, in s, where only the variance of a turn is computed."""
 
 COIL_ERROR = 0.03
-"""Share of a coil's field by which it may differ from its table: 2 % of gain, some tenths of a mm of place."""
+"""Relative error of a coil's field in its table: 2 % of gain, some tenths of a millimetre of position."""
 
 
 def pack_robot(robot: Robot) -> FloatArray:

@@ -18,7 +18,7 @@ MEAN_OF_ELLIPSE = 1.5420
 """Mean over a turn of ``sqrt(4 cos² + sin²)``: the field of a dipole beside its axis, in units of its weakest."""
 
 BEARING_CAPACITY_FACTOR = 7.0
-"""Yield stresses that a gel bears on the projected area of a cylinder pushed across its axis."""
+"""Pressure, in yield stresses, that a gel supports on the projected area of a cylinder pushed across its axis."""
 
 
 @dataclass(frozen=True)
@@ -319,7 +319,7 @@ def make_state(position: FloatArray, orientation: FloatArray) -> FloatArray:
 
 
 def compute_course(window: Rotate, heading: float) -> tuple[float, float]:
-    """Compute the course of the magnet's axis, and whether it drives the robot forward or back.
+    """Compute the line along which a window drives the robot, and the direction along it.
 
     The robot turns against the magnet, so a magnet's axis that points back drives it forward.
 

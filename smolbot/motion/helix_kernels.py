@@ -21,7 +21,6 @@ from numba import njit
 ADVANCE, HOUSING_AHEAD, MAGNET_LEVER, MAGNET, TORQUE, DISTANCE = 0, 1, 2, 3, 6, 7
 STEERING, SPIN, TILT, ACROSS, VISCOUS = 8, 9, 10, 11, 12
 STIFFNESS, STOP, HALF_LENGTH, LOW, HIGH = 13, 14, 15, 16, 17
-BODY_SIZE = 18
 X, Y, Z, HEADING, PITCH, COURSE = range(6)
 # Factors that are learned: on advance and steering; offset of the axis (rad), drift to the left per turn (m)
 ADVANCE_FACTOR, STEERING_FACTOR, AXIS_OFFSET, LEFT_DRIFT = range(4)
@@ -278,7 +277,7 @@ def find_best_course(body, factors, state, max_tilt, max_course_change, turns, f
     near : float, in m
         Arc length near which to search for the nearest place.
     weight : float, in m/rad
-        Of the heading's error; see `miss`.
+        Of the heading's error; see `compute_course_cost`.
 
     Returns
     -------

@@ -15,14 +15,12 @@ import numpy as np
 from numba import njit
 
 MOMENT, DRAG, ROTATIONAL_DRAG, STIFFNESS, STOP, MAGNET, CENTER = range(7)
-BODY_SIZE = 7
 # Weights of a plan, per mm or rad: distance from the path, arc length that is missing, heading, push at the tail,
 # currents, weakness of the field; the field (T) below which it is called weak, and the angle beyond which the cost of a
 # wrong heading grows linearly
 PATH_DISTANCE, MISSING_PROGRESS, HEADING, TAIL_PUSH, CURRENT_COST, FIELD_WEAKNESS, WEAK_FIELD, HUBER_ANGLE = range(8)
-WEIGHT_COUNT = 8
 RESIDUALS_PER_WINDOW = 8  # for each window
-SEARCH_BACK, SEARCH_AHEAD = 1e-3, 2e-3  # how far, in m, from where it was, a robot is looked for
+SEARCH_BACK, SEARCH_AHEAD = 1e-3, 2e-3  # m: range of arc lengths around the last one in which a robot is searched
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -190,7 +188,7 @@ def propagate_turn_variance(body, b, g, currents, heading, duration, steps, fiel
 def _solve_deflection(sine, cosine, torque, stiffness, stop, bent):
     """Compute the deflection toward a field whose angle from the housing has a sine, not below 0, and a cosine.
 
-    Newton's method from a guess `bent`, between nothing and the stop; see `deflection`. Between 0 and `stop`,
+    Newton's method from a guess `bent`, between nothing and the stop; see `compute_deflection`. Between 0 and `stop`,
     spring and field balance at one angle only.
     """
     if torque * (sine * math.cos(stop) - cosine * math.sin(stop)) >= stiffness * stop:
@@ -208,7 +206,7 @@ def _solve_deflection(sine, cosine, torque, stiffness, stop, bent):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _simulate_with_derivatives(body, field, gradient, x, y, heading, duration, steps, inputs, slopes, count):
-    """Simulate one window as `roll` does, with the derivatives of all results by the first `count` variables.
+    """Simulate one window as `simulate_window` does, with the derivatives of its results by `count` variables.
 
     Angles are kept as unit vectors, (c, s) for the housing, so that a step takes an exponential and square roots
     but hardly any trigonometric function.
@@ -350,7 +348,7 @@ def find_nearest(points, arc, first, last, guess, x, y, back=SEARCH_BACK, ahead=
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _find_nearest_segment(points, arc, first, last, guess, x, y, back, ahead):
-    """Find the nearest place as `nearest` does, and the segment that it is on."""
+    """Find the nearest place as `find_nearest` does, and the segment that it is on."""
     low, high = first, last
     while low < last - 1 and arc[low + 1] < guess - back:
         low += 1
@@ -373,7 +371,7 @@ def _find_nearest_segment(points, arc, first, last, guess, x, y, back, ahead):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _differentiate_place(points, i, offsets, dx, dy):
-    """Compute the change of `nearest`'s offsets across and along, and arc length, as the point moves (dx, dy)."""
+    """Compute the change of `find_nearest`'s offsets across and along, and arc length, as the point moves (dx, dy)."""
     x, y = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
     length = math.sqrt(x * x + y * y)
     tx, ty = x / length, y / length
@@ -392,17 +390,17 @@ def _compute_residuals(
     and along half way, both at the end, the missing arc length, then the heading, the push at the tail and the weakness
     of the field; after those of all windows, each coil's share of its highest current.
 
-    `work`: Jacobian (total, windows * n_coils) of the residuals, or (0, 0) where it is not wanted; and room for
+    `work`: Jacobian (total, windows * n_coils) of the residuals, or (0, 0) if it is not needed; and buffers for
     the derivatives of the coils' field (6, ...) and of the state (7, ...), as `_simulate_with_derivatives` takes them.
     """
-    points, arc, compass, spacing = route
+    points, arc, headings, spacing = route
     first, last, guess, stride, ahead, near = leg
     jacobian, inputs, slopes, field, gradient = work
     n, windows = b.shape[0], currents.shape[0]
-    told = jacobian.shape[0] > 0
+    with_jacobian = jacobian.shape[0] > 0
     x, y, heading = state[0], state[1], state[2]
     goal, cost, row = guess, 0.0, 0
-    if told:
+    if with_jacobian:
         jacobian[:] = 0.0
         slopes[:] = 0.0
     for w in range(windows):
@@ -413,7 +411,7 @@ def _compute_residuals(
                 gradient[i, 0] += currents[w, c] * g[c, i, 0]
                 gradient[i, 1] += currents[w, c] * g[c, i, 1]
         count = 0
-        if told:
+        if with_jacobian:
             count = (w + 1) * n  # later windows change nothing of this one
             for j in range(count):
                 own = 1.0 if j >= w * n else 0.0
@@ -424,7 +422,7 @@ def _compute_residuals(
         ch, sh = body[MAGNET] * math.cos(heading), body[MAGNET] * math.sin(heading)
         bx = field[0] + gradient[0, 0] * (x + ch) + gradient[0, 1] * (y + sh)
         by = field[1] + gradient[1, 0] * (x + ch) + gradient[1, 1] * (y + sh)
-        # c^2 max(0, 1 - |B| / B_least)^2: where the coils nearly cancel, a robot goes where their errors send it
+        # c^2 max(0, 1 - |B| / B_least)^2: where the coils' fields nearly cancel, their errors decide the motion
         strength = math.sqrt(bx * bx + by * by)
         out[row + 7] = weights[FIELD_WEAKNESS] * max(1.0 - strength / weights[WEAK_FIELD], 0.0)
         if out[row + 7] > 0.0 and strength > 0.0:
@@ -455,13 +453,13 @@ def _compute_residuals(
         # h^2 rho(psi - psi_path), the path's heading interpolated a little ahead
         on, moves = s + ahead, 1.0
         if s < arc[last] - near and on > arc[last]:
-            on, moves = arc[last], 0.0  # no turning into the next leg before this one is done
+            on, moves = arc[last], 0.0  # do not turn into the next leg before this one is done
         at = (on - arc[first]) / spacing
-        if not 0.0 <= at <= compass.shape[0] - 1.001:
-            at, moves = min(max(at, 0.0), compass.shape[0] - 1.001), 0.0
+        if not 0.0 <= at <= headings.shape[0] - 1.001:
+            at, moves = min(max(at, 0.0), headings.shape[0] - 1.001), 0.0
         k = int(at)
-        bend = wrap_angle(compass[k + 1] - compass[k])
-        off = wrap_angle(heading - compass[k] - (at - k) * bend)
+        bend = wrap_angle(headings[k + 1] - headings[k])
+        off = wrap_angle(heading - headings[k] - (at - k) * bend)
         knee, size = weights[HUBER_ANGLE], abs(off)
         out[row + 5] = weights[HEADING] * (size if size < knee else math.sqrt(knee * (2.0 * size - knee)))
         steep = weights[HEADING] * (1.0 if size < knee else knee / math.sqrt(knee * (2.0 * size - knee)))
@@ -481,7 +479,7 @@ def _compute_residuals(
     for w in range(windows):
         for c in range(n):
             out[row] = weights[CURRENT_COST] * currents[w, c] / high[c]
-            if told:
+            if with_jacobian:
                 jacobian[row, w * n + c] = weights[CURRENT_COST] / high[c]
             row += 1
     for i in range(row):

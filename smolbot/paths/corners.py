@@ -20,10 +20,10 @@ ARC_STEP_ANGLE = np.radians(5.0)
 """Turn between two points of an arc, in rad."""
 
 MERGED = 1e-6
-"""Distance, in mm, below which two points are one."""
+"""Distance, in mm, below which two points coincide."""
 
 SHORT = 1.0 - 1e-6
-"""Share of the radius asked for below which a fillet counts as short."""
+"""Share of the requested radius below which a fillet counts as short."""
 
 TINY = 1e-12
 """Chord of two equal points: keeps the quotient finite."""
@@ -38,7 +38,7 @@ RADIUS_STEPS, CENTER_STEPS = 30, 40
 """Bisections for the largest radius that fits, and for the centre of an arc along a bend."""
 
 SCAN_POINTS = 33
-"""Places along a bend at which a first centre of the arc is looked for."""
+"""Number of places along a bend at which a first centre of the arc is searched."""
 
 
 def compute_directions(points: FloatArray) -> FloatArray:
@@ -148,8 +148,8 @@ def round_corners(points: FloatArray, radius: float) -> Outline:
         parts += [_cut_side(sides[k], start, lengths[k] - back), arc]
         start = onward
     parts.append(_cut_side(sides[-1], start, lengths[-1]))
-    whole = np.vstack(parts)
-    new = np.concatenate([[True], np.linalg.norm(np.diff(whole, axis=0), axis=1) > MERGED])
+    joined = np.vstack(parts)
+    new = np.concatenate([[True], np.linalg.norm(np.diff(joined, axis=0), axis=1) > MERGED])
     remarks = []
     if short:
         least, where = min(short, key=lambda item: item[0])
@@ -160,7 +160,7 @@ def round_corners(points: FloatArray, radius: float) -> Outline:
     if kept:
         these = "1 corner stays as it is" if kept == 1 else f"{kept} corners stay as they are"
         remarks.append(f"{these}: the path turns back on itself there")
-    return Outline(whole[new], tuple(remarks))
+    return Outline(joined[new], tuple(remarks))
 
 
 def _cut_side(side: FloatArray, low: float, high: float) -> FloatArray:
@@ -171,7 +171,7 @@ def _cut_side(side: FloatArray, low: float, high: float) -> FloatArray:
 
 
 Fillet = tuple[float, FloatArray, float, float]
-"""Length of the side before that the arc replaces, its points, its radius, and the same length of the side after."""
+"""Length that the arc replaces on the side before it, its points, its radius, and the length on the side after it."""
 
 
 def _fit_largest_arc(before: FloatArray, after: FloatArray, room: tuple[float, float], radius: float) -> Fillet | None:

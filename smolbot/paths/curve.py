@@ -29,8 +29,8 @@ TINY = 1e-30
 class Curve:
     """A curve through `points` (n, 3), in m, world frame, with straight pieces between them.
 
-    Arc length `s` runs from 0 to `length`, in m. `speed` is what is wanted along it, listening included; without one a
-    controller goes as fast as it can.
+    Arc length `s` runs from 0 to `length`, in m. `speed` is the requested speed, listening included; without one a
+    controller moves as fast as it can.
 
     Examples
     --------

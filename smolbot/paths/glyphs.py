@@ -1,4 +1,4 @@
-"""Letters and signs as one continuous route in a box of given size: four letters of our own, and a plotter font."""
+"""Letters and signs as one continuous route in a box of given size: four own letters, and a plotter font."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _draw_s(width: float, height: float) -> FloatArray:
 
 
 GLYPHS = {"I": _draw_i, "L": _draw_l, "R": _draw_r, "S": _draw_s}
-"""Own letters, drawn for robots; every other character is of the font."""
+"""Own letters, designed for robots; every other character is from the font."""
 
 
 def find_glyph_fault(name: str) -> str | None:
@@ -169,12 +169,12 @@ def _make_route(name: str, stretch: float) -> Route:
 
 
 def _format_remarks(name: str, route: Route, scale: FloatArray) -> tuple[str, ...]:
-    again, whole = (
+    again, total = (
         sum(float(compute_arc_lengths(p * scale)[-1]) for p in parts) for parts in (route.retraced, route.pieces)
     )
     remarks = []
     if again:
-        remarks.append(f"the strokes of '{name}' are joined by drawing {again:.1f} of {whole:.1f} mm twice")
+        remarks.append(f"the strokes of '{name}' are joined by drawing {again:.1f} of {total:.1f} mm twice")
     for bridge in route.bridges:
         gap = float(compute_arc_lengths(bridge * scale)[-1])
         remarks.append(f"'{name}' has parts that do not touch: a line of {gap:.1f} mm bridges the gap between them")

@@ -14,7 +14,7 @@ from smolbot.paths.corners import compute_curvature, find_corners
 from smolbot.paths.polylines import compute_arc_lengths
 
 CORNER_RADIUS = 0.25e-3
-"""Radius, in m, of the bend for which a corner that is kept counts: no robot follows a corner closer."""
+"""Radius, in m, of the bend that replaces a kept corner: no robot follows a corner more closely."""
 
 SPEED_SPACING = 0.1e-3
 """Spacing, in m, of the points at which the speed is computed."""
@@ -103,14 +103,14 @@ def compute_speed_profile(
     """Compute the fastest speed profile within limits on speed, centripetal acceleration and change of speed.
 
     First v <= sqrt(lateral / curvature) everywhere; then a forward and a backward pass limit the change of v² to
-    2 a ds, as in time-optimal path parameterization (Bobrow, Dubowsky and Gibson 1985). A path begins and ends at
-    speed, since a robot in a viscous liquid has negligible inertia.
+    2 a ds, as in time-optimal path parameterization (Bobrow, Dubowsky and Gibson 1985). The speed is not zero at the
+    ends of a path, since a robot in a viscous liquid has negligible inertia.
 
     Parameters
     ----------
     points : ndarray, shape (n, 3), in m
     speed : float, in m/s
-        Requested where nothing slows the robot.
+        Requested speed on straight parts.
     lateral : float, in m/s², optional
         Largest centripetal acceleration, v² times curvature; a corner counts as a bend of `CORNER_RADIUS`.
     acceleration : float, in m/s², optional

@@ -55,7 +55,7 @@ def test_a_broken_limit_is_told_by_its_fields_by_rig_and_safety_alike(windows, e
         LIMITS.check(shot)
     safety: Safety = make_limits_only_safety(LIMITS, 10)
     with pytest.raises(errors.SafetyError) as stopped:
-        safety.before(shot, 0.0, None)
+        safety.check_shot(shot, 0.0, None)
     for error in (refused.value, stopped.value):
         assert (error.limit, error.value, error.unit, error.channel) == expected
 

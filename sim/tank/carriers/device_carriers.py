@@ -59,7 +59,7 @@ class ExternallyGuided:
 
     Parameters
     ----------
-    section : HandSection
+    section : OperatorSection
     seed : int
     l0 : float, in m
         From the cantilever's rotation centre to the magnet.
@@ -139,10 +139,10 @@ class ExternallyGuided:
         dict
             Plain lists and numbers.
         """
-        drawn = {"hand": asdict(self.parameters)}
+        mismatches = {"hand": asdict(self.parameters)}
         if self.shaft is not None:
-            drawn["shaft"] = asdict(self.shaft)
-        return _to_plain(drawn)
+            mismatches["shaft"] = asdict(self.shaft)
+        return _to_plain(mismatches)
 
     def close(self) -> None:
         """Do nothing: there is no resource to release."""
@@ -165,8 +165,8 @@ class Implanted:
         if section.heading is not None:
             heading = section.heading
         low, high = find_magnet_volume(rig)
-        wanted, pitch, roll = section.compute_placement(draws[:4])
-        self.position = np.clip(wanted, low + MARGIN, high - MARGIN)
+        position, pitch, roll = section.compute_placement(draws[:4])
+        self.position = np.clip(position, low + MARGIN, high - MARGIN)
         ahead = np.array([math.cos(heading), math.sin(heading), math.tan(pitch)])
         level = quaternion_from_axes(ahead, np.array([0.0, 0.0, 1.0]), "zx")
         self.orientation = multiply_quaternions(level, quaternion_from_rotation_vector(np.array([0.0, 0.0, roll])))

@@ -55,12 +55,12 @@ class OperatorParameters:
 
         Parameters
         ----------
-        section : HandSection
+        section : OperatorSection
         seed : int
 
         Returns
         -------
-        Led
+        OperatorParameters
         """
         rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, STREAM])))
         shifts = []
@@ -82,13 +82,13 @@ class EndoscopeOperator:
 
     Parameters
     ----------
-    section : HandSection
-    led : Led
+    section : OperatorSection
+    parameters : OperatorParameters
         Sampled parameters.
 
     Attributes
     ----------
-    routes : tuple of Route
+    routes : tuple of SplineRoute
     start_time, end_time : float, in s
         The tip is at rest before and after.
     """
@@ -225,13 +225,13 @@ def build_routes(section: OperatorSection, parameters: OperatorParameters | None
 
     Parameters
     ----------
-    section : HandSection
-    parameters : Led, optional
+    section : OperatorSection
+    parameters : OperatorParameters, optional
         Sampled displacements; without them the routes are those of the rig file.
 
     Returns
     -------
-    tuple of Route
+    tuple of SplineRoute
     """
     points = [route.points for route in section.routes]
     first = np.mean([p[1] - p[0] for p in points], axis=0)

@@ -53,7 +53,7 @@ class EndoscopeShaft:
 
         Returns
         -------
-        Shaft
+        EndoscopeShaft
         """
         rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, STREAM])))
         away = float(rng.uniform(-np.pi, np.pi))
@@ -93,7 +93,7 @@ class EndoscopeShaft:
 
         Parameters
         ----------
-        operator : Hand
+        operator : EndoscopeOperator
         times : ndarray, shape (n,), in s
             On the tank's clock.
         points : ndarray, shape (m, 3), in m
@@ -124,7 +124,7 @@ class EndoscopeShaft:
 
         Parameters
         ----------
-        operator : Hand
+        operator : EndoscopeOperator
         clock : float, in s
             Time of the first sample.
         n : int

@@ -27,7 +27,7 @@ class Floating:
     rig : RigConfig
     robot : RobotConfig
     settings : TankSettings
-    truth : Truth
+    truth : TankTruth
     start : ndarray, shape (2,), in m
         Requested start position (x, y), world frame.
     gui : bool
@@ -85,7 +85,7 @@ def compute_start_pose(
     ----------
     rig : RigConfig
     robot : RobotConfig
-    truth : Truth
+    truth : TankTruth
     hull : Hull
     start : ndarray, shape (2,), in m
         Requested start position (x, y), world frame.
@@ -102,17 +102,17 @@ def compute_start_pose(
     InputError
         If the robot does not fit into the container there.
     """
-    wanted = np.asarray(start, dtype=np.float64)[:2]
-    away = np.abs(wanted - rig.container.center)
+    requested = np.asarray(start, dtype=np.float64)[:2]
+    away = np.abs(requested - rig.container.center)
     room = 0.5 * rig.container.size - np.hypot(robot.size[0], robot.size[2]) / 2
     if np.any(away > room):
         raise InputError(
             f"The robot must start within ±{1e3 * room[0]:.1f}, ±{1e3 * room[1]:.1f} mm of the container's middle; "
-            f"got ({1e3 * wanted[0]:.1f}, {1e3 * wanted[1]:.1f}) mm."
+            f"got ({1e3 * requested[0]:.1f}, {1e3 * requested[1]:.1f}) mm."
         )
     heading = truth.start_heading
     ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
     orientation = quaternion_from_axes(ahead, np.array([0.0, 0.0, 1.0]), "zy")
-    middle = np.array([*(wanted + truth.start_offset), 0.0]) + matrix_from_quaternion(orientation) @ robot.center
+    middle = np.array([*(requested + truth.start_offset), 0.0]) + matrix_from_quaternion(orientation) @ robot.center
     middle[2] = hull.float_height
     return middle, orientation

@@ -51,7 +51,7 @@ class Hull:
         rig : RigConfig
         robot : RobotConfig
         settings : TankSettings
-        truth : Truth
+        truth : TankTruth
 
         Returns
         -------

@@ -22,7 +22,7 @@ def make_carrier(
     rig : RigConfig
     robot : RobotConfig
     settings : TankSettings
-    truth : Truth
+    truth : TankTruth
     start : ndarray, shape (2,), in m
         Requested start position (x, y), world frame.
     seed : int

@@ -32,7 +32,7 @@ Triple = tuple[float, float, float]
 Quad = tuple[float, float, float, float]
 
 # Entries of `device`: moment (A·m²), its direction at rest (body x, z), l0, theta_max, squared angular frequency, dry
-# friction (rad/s²), damping (1/s), restitution of the stops, inertia (kg·m²), middle of the housing seen from the
+# friction (rad/s²), damping (1/s), restitution of the stops, inertia (kg·m²), middle of the housing from the
 # rotation centre (3)
 MOMENT, REST_X, REST_Z, L0, THETA_MAX, OMEGA_SQUARED, FRICTION, ETA, RESTITUTION, INERTIA, MIDDLE = range(11)
 # Entries of `state`: deflection (rad), rate (rad/s), time in the window (s), angular frequency of the drive (rad/s)
@@ -142,9 +142,9 @@ def compute_coil_field(
     point : ndarray, shape (3,), in m
         World frame.
     row : ndarray, shape (22,)
-        The coil's row of `sim.tank.magnetics.compute_coil_fields.CoilSet`.
+        The coil's row of `sim.tank.magnetics.coil_fields.CoilSet`.
     table : ndarray
-        The coefficients of `sim.tank.magnetics.compute_coil_fields.CoilSet`.
+        The coefficients of `sim.tank.magnetics.coil_fields.CoilSet`.
     rotation_result_to_world : ndarray, shape (3, 3)
         From the result's frame to the world frame; the identity for a result in the world frame.
     b : ndarray, shape (3,), in T per A
@@ -189,7 +189,7 @@ def compute_fields(points: FloatArray, rows: FloatArray, table: FloatArray) -> F
     points : ndarray, shape (n, 3), in m
         World frame.
     rows, table : ndarray
-        Of `sim.tank.magnetics.compute_coil_fields.CoilSet`.
+        Of `sim.tank.magnetics.coil_fields.CoilSet`.
 
     Returns
     -------
@@ -241,7 +241,7 @@ def advance_cantilever(
     earth : ndarray, shape (3,), in T
         Uniform field, world frame.
     rows, table : ndarray
-        Of `sim.tank.magnetics.compute_coil_fields.CoilSet`; as many rows as `circuits`.
+        Of `sim.tank.magnetics.coil_fields.CoilSet`; as many rows as `circuits`.
     circuits, state : ndarray
         As laid out at the top of this file; `state` and the currents are advanced in place.
     poses : ndarray, shape (k, 7)
@@ -321,7 +321,7 @@ def advance_cantilever(
 
     damp, push = math.exp(-2.0 * eta * h), h * math.exp(-eta * h)  # frequency and decay are right to 2nd order
     slip = friction * h
-    drawn = np.zeros((n_live + 1, 2))  # sums of current times moment (A²·m²): mean force and torque
+    moments = np.zeros((n_live + 1, 2))  # sums of current times moment (A²·m²): mean force and torque
     sum_x = sum_z = 0.0
     sine, cosine = math.sin(theta), math.cos(theta)
     for k in range(substeps):
@@ -359,10 +359,10 @@ def advance_cantilever(
             ds, dc = turn - turn**3 / 6.0, 1.0 - 0.5 * turn**2 + turn**4 / 24.0
             sine, cosine = sine * dc + cosine * ds, cosine * dc - sine * ds
         for n in range(n_live):
-            drawn[n, 0] += circuits[live[n], CURRENT] * mx
-            drawn[n, 1] += circuits[live[n], CURRENT] * mz
-        drawn[n_live, 0] += mx
-        drawn[n_live, 1] += mz
+            moments[n, 0] += circuits[live[n], CURRENT] * mx
+            moments[n, 1] += circuits[live[n], CURRENT] * mz
+        moments[n_live, 0] += mx
+        moments[n_live, 1] += mz
         sum_x += dx
         sum_z += dz
         row = trace[used + k]
@@ -381,7 +381,7 @@ def advance_cantilever(
         b[n_live, r] = e[r]
     fx = fy = fz = tx = ty = tz = 0.0
     for n in range(n_live + 1):
-        mx, mz = drawn[n, 0] / substeps, drawn[n, 1] / substeps
+        mx, mz = moments[n, 0] / substeps, moments[n, 1] / substeps
         fx += g[n, 0, 0] * mx + g[n, 2, 0] * mz
         fy += g[n, 0, 1] * mx + g[n, 2, 1] * mz
         fz += g[n, 0, 2] * mx + g[n, 2, 2] * mz

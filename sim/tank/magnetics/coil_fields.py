@@ -23,7 +23,7 @@ from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotat
 
 CACHE_VERSION = 1  # of the cached coefficients
 ROUND, FLAT = 0.0, 1.0
-MARGIN_CELLS = 4  # cells around the region asked for: the spline's end conditions decay there
+MARGIN_CELLS = 4  # cells around the requested region: the spline's end conditions decay there
 REGION = 4  # cells to whose multiples a table's region is rounded: neighbouring regions share one table
 MARGIN = 4e-3  # m around the nominal region: more than any coil is displaced or tilted
 SAME_DIGITS = 9  # decimals, in m, to which points are compared: equal ones are computed once
@@ -42,7 +42,7 @@ class ShapeTable:
     Attributes
     ----------
     kind : float
-        ``MAX_RADIUS_ERROR``: axes (radius, height), values (radial, axial). ``MAX_CHORD_ERROR``: axes and values (x, y, z).
+        `ROUND`: axes (radius, height), values (radial, axial); `FLAT`: axes and values (x, y, z).
     origin : ndarray, shape (2,) or (3,), in m
     spacing : float, in m
     coefficients : ndarray, shape (*counts, 2) or (*counts, 3), in T per A

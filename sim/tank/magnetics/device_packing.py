@@ -16,13 +16,13 @@ MAGNET_MASS = MAGNET_DENSITY * math.pi * MAGNET_RADIUS**2 * MAGNET_LENGTH  # kg
 
 
 def pack_true_device(robot: RobotConfig, settings: TankSettings, truth: TankTruth) -> FloatArray:
-    """Pack the `device` array of `sim.tank.magnetics.cantilever.advance_cantilever` for a robot with the sampled errors.
+    """Pack the `device` array of `sim.tank.magnetics.cantilever` for a robot with the sampled errors.
 
     Parameters
     ----------
     robot : RobotConfig
     settings : TankSettings
-    truth : Truth
+    truth : TankTruth
 
     Returns
     -------

@@ -73,8 +73,8 @@ class FieldNoise:
             gradient -= np.eye(3) * np.trace(gradient) / 3
             gradient *= math.sqrt(3) * change / np.linalg.norm(gradient)
             first, second = np.exp(1j * rng.uniform(0, 2 * math.pi, 2))
-            heard = np.einsum("ij,ij->i", axes, first * direction + second * (positions @ gradient))
-            self._amplitudes[k] = level * heard / (1 + 1j * self.frequencies[k] / bandwidth)
+            measured = np.einsum("ij,ij->i", axes, first * direction + second * (positions @ gradient))
+            self._amplitudes[k] = level * measured / (1 + 1j * self.frequencies[k] / bandwidth)
 
     @property
     def amplitudes(self) -> npt.NDArray[np.complex128]:

@@ -53,7 +53,7 @@ class TankCoils:
         ----------
         rig : RigConfig
         settings : TankSettings
-        truth : Truth
+        truth : TankTruth
         positions, axes : ndarray, shape (n_sensors, 3)
             True sensor positions (m) and sensitive directions, world frame.
 

@@ -24,7 +24,7 @@ class TrueSensors:
     Parameters
     ----------
     rig : RigConfig
-    truth : Truth
+    truth : TankTruth
     field_rng, sensor_rng, constant_rng : numpy.random.Generator
         Of the ambient field, of the sensors' own noise and of each channel's constant.
 

@@ -144,7 +144,7 @@ class Calibration(Readable):
     ----------
     device : Device
         The calibrated device; moment and l0 are as believed (theta_max times moment is what is measured).
-    std : Uncertainty
+    std : DeviceUncertainty
         Scatter over repeats, and for theta_max the height's uncertainty.
     assumed : Device
     height : float, in m
@@ -176,11 +176,23 @@ class Calibration(Readable):
     file: Path | None = None
 
     def sweep_table(self) -> dict[str, np.ndarray[Any, Any]]:
-        """The fields of `SweepPoint` as arrays, a value for each burst of the frequency sweep."""
+        """Return the frequency sweep as columns.
+
+        Returns
+        -------
+        dict of str to ndarray
+            The fields of `SweepPoint`, a value for each burst of the frequency sweep.
+        """
         return as_columns(map(asdict, self.sweep), [f.name for f in fields(SweepPoint)])
 
     def drive_table(self) -> dict[str, np.ndarray[Any, Any]]:
-        """The fields of `DrivePoint` as arrays, a value for each current of the drive sweep."""
+        """Return the drive sweep as columns.
+
+        Returns
+        -------
+        dict of str to ndarray
+            The fields of `DrivePoint`, a value for each current of the drive sweep.
+        """
         return as_columns(map(asdict, self.drives), [f.name for f in fields(DrivePoint)])
 
 

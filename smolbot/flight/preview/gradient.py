@@ -25,32 +25,38 @@ STALL_CYCLES = 150
 
 @dataclass(frozen=True, repr=False)
 class Preview(Readable):
-    """What can be said of a mission before it is flown. SI units.
+    """Prediction for a mission before it is flown. SI units.
 
     Attributes
     ----------
     shot : Shot
         A typical cycle.
     rate_limit : float, in Hz
-        Of the timeline alone; `rate` has the turnaround in it.
+        Cycle rate of the timeline alone.
+    rate : float, in Hz
+        Cycle rate with the turnaround time included.
+    length : float, in m
+        Of the path.
     corners : int
-        Of the path that are kept.
+        Number of corners that are kept in the path.
     tightest_radius : float, in m
         Radius of the tightest bend between corners; infinite where all is straight.
     remarks : tuple of str
-        On how the path came about.
+        On how the path was made.
     duration : float, in s
         Expected, search and approach included; nan where the end is not reached.
     path_time : float, in s
         From the path's start to its end alone.
     requested_time : float, in s, or None
-        The same by the speed that the path asks for; None where it asks for none.
+        The same at the speed that the path requests; None if it requests none.
+    cycles : int
+        Number of cycles.
     trail : ndarray, shape (n, 3), in m
         Where the robot is expected to go.
     localization_error : ndarray, shape (n,), in m
         Horizontal rms error of one pose, along the path.
-    force_profile : Reach or None
-        The law's force along the path; None where the law does not say.
+    force_profile : ForceProfile or None
+        The controller's force along the path; None if the controller does not compute it.
     coil_energy : float, in J
     reasons : list of str
         Why not to fly; empty means go.
@@ -75,7 +81,7 @@ class Preview(Readable):
 
     @property
     def go(self) -> bool:
-        """True if nothing speaks against the flight."""
+        """True if there is no reason not to fly."""
         return not self.reasons
 
 
@@ -119,8 +125,8 @@ class _Rollout:
             away = float(np.linalg.norm(goal[:2] - self.position[:2]))
             approached = command.phase == "approach" and away < nearest - 1e-5
             passed = float(self.mission.path.project(self.position[None, :])[0][0])
-            untold = best == 0.0 and command.phase == "follow" and passed > farthest + 1e-5  # a law need not tell it
-            if command.progress > best + 1e-6 or approached or untold:
+            unreported = best == 0.0 and command.phase == "follow" and passed > farthest + 1e-5  # progress is optional
+            if command.progress > best + 1e-6 or approached or unreported:
                 best, nearest, since = max(best, command.progress), away, 0
                 farthest = max(farthest, passed)
             else:

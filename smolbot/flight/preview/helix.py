@@ -30,23 +30,27 @@ PAUSE_COVARIANCE = np.diag([1e-4] * 3 + [math.radians(1.0)] * 3) ** 2
 
 @dataclass(frozen=True, repr=False)
 class HelixPreview(Readable):
-    """What can be said of a helical robot's mission before it is flown. SI units.
+    """Prediction for a helical robot's mission before it is flown. SI units.
 
     Attributes
     ----------
     maneuver, listening : Shot
-        A typical mechanical shot, and the one that is listened to.
+        A typical mechanical shot, and the shot that listens.
     turns : tuple of float
         Of the magnet, before each pause.
+    length : float, in m
+        Of the path.
     duration : float, in s
-        Expected; nan where the end is not reached.
+        Expected; nan if the end is not reached.
     trail : ndarray, shape (n, 3), in m
         Where the robot is expected to be in the pauses.
     min_radius, tightest_radius : float, in m
-        Of the tightest bend that it can make (None where its law does not say), and of the tightest in the path.
+        Of the tightest bend that the robot can make (None if its controller does not compute it), and of the
+        tightest bend of the path.
     torque_margin : ndarray, shape (n,)
-        Least torque of the field over what the gel asks for, along the path; under 1 the robot steps out.
+        Least torque of the field over the torque that the gel requires, along the path; below 1 the robot steps out.
     localization_error : ndarray, shape (n,), in m
+        Horizontal rms error of one pose, along the path.
     reasons : list of str
         Why not to fly; empty means go.
     """
@@ -65,7 +69,7 @@ class HelixPreview(Readable):
 
     @property
     def go(self) -> bool:
-        """True if nothing speaks against the flight."""
+        """True if there is no reason not to fly."""
         return not self.reasons
 
 
@@ -93,7 +97,7 @@ def preview_helix(mission: Mission) -> HelixPreview:
     if margin[worst] < 1.0:
         reasons.append(
             f"the field would lose the robot near {_format_mm(mission.path.at(arc[worst]))}: "
-            f"its torque is {margin[worst]:.2f} of what the gel asks for at {frequency:g} Hz."
+            f"its torque is {margin[worst]:.2f} of what the gel requires at {frequency:g} Hz."
         )
     if radius is not None and bend < radius:
         reasons.insert(
@@ -149,7 +153,7 @@ def _simulate_flight(
     )
     rest = setup.cycle.duration(setup.device.frequency) + mission.rig.turnaround
     clock = mission.sections.localization.background_noise_duration + 2.0 * rest
-    quiet, limit = clock, mission.sections.stop.max_duration_s
+    begun, limit = clock, mission.sections.stop.max_duration_s
     controller.reset(mission.path, Pose(clock, position, orientation, PAUSE_COVARIANCE))
     shots: list[Shot] = []
     trail = [position]
@@ -173,7 +177,7 @@ def _simulate_flight(
             if command.phase == "follow" and off > MAX_PATH_DISTANCE:
                 return shots, clock, np.array(trail), [f"the robot would leave the path near {_format_mm(position)}."]
         clock += rest
-        if clock - quiet > limit:
+        if clock - begun > limit:
             done = f"{command.progress * 1e3:.1f} of {mission.path.length * 1e3:.1f} mm"
             reason = f"it would not end within max_duration_s = {limit:g} s: {done} would be done."
             return shots, clock, np.array(trail), [reason]

@@ -51,7 +51,7 @@ class ObservationPreview(Readable):
 
     @property
     def go(self) -> bool:
-        """True if nothing speaks against the observation."""
+        """True if there is no reason not to begin."""
         return not self.reasons
 
 
@@ -67,17 +67,17 @@ def preview_observation(mission: Observation) -> ObservationPreview:
     ObservationPreview
     """
     shot = Shot(mission.cycle.windows(mission.robot.device.frequency))
-    whole = shot.duration + mission.rig.turnaround
+    cycle_time = shot.duration + mission.rig.turnaround
     section, quiet = mission.sections.observe, mission.sections.localization.background_noise_duration
     if section.measurements is not None:
         cycles = round(section.measurements * (1.0 + MEAN_SEARCH_SHOTS))
     else:
-        cycles = round(MEAN_SEARCH_SHOTS + (section.duration_s or 0.0) / whole)
-    rate, duration = 1.0 / whole, quiet + cycles * whole
-    wanted, limit = mission.sections.verdict.min_rate_hz, mission.sections.stop.max_duration_s
+        cycles = round(MEAN_SEARCH_SHOTS + (section.duration_s or 0.0) / cycle_time)
+    rate, duration = 1.0 / cycle_time, quiet + cycles * cycle_time
+    min_rate, limit = mission.sections.verdict.min_rate_hz, mission.sections.stop.max_duration_s
     reasons = []
-    if wanted is not None and rate < wanted:
-        reasons.append(f"{rate:.2f} cycles a second fit, fewer than min_rate_hz = {wanted:g}.")
+    if min_rate is not None and rate < min_rate:
+        reasons.append(f"{rate:.2f} cycles a second fit, fewer than min_rate_hz = {min_rate:g}.")
     if duration - quiet > limit:
         reasons.append(f"it would not end within max_duration_s = {limit:g} s.")
     return ObservationPreview(

@@ -61,7 +61,7 @@ class HeatMemory:
             data = json.loads(self.path.read_text(encoding="utf-8"))
             since = self._clock() - float(data["time"])
             noted = {str(name): float(value) for name, value in data["temperatures_c"].items()}
-        except (OSError, ValueError, TypeError, KeyError, AttributeError):  # nothing that could be read was kept
+        except (OSError, ValueError, TypeError, KeyError, AttributeError):  # no readable file
             return
         if since < 0.0:
             return
@@ -72,7 +72,7 @@ class HeatMemory:
         heat.peaks = list(heat.temperatures)
 
     def keep(self, heat: CoilHeat, *, now: bool = False) -> None:
-        """Store the temperatures of a heat model, at most once every `EVERY` s.
+        """Store the temperatures of a heat model, at most once every `SAVE_INTERVAL` s.
 
         A file that cannot be written gives one warning and is not tried again.
 
@@ -89,7 +89,7 @@ class HeatMemory:
         try:
             self._write(clock, heat)
         except OSError as error:
-            warnings.warn(f"{self.path}: how hot the coils are cannot be kept for the next run: {error}", stacklevel=2)
+            warnings.warn(f"{self.path}: coil temperatures cannot be kept for the next run: {error}", stacklevel=2)
             self._saved_at = float("inf")
 
     def _write(self, clock: float, heat: CoilHeat) -> None:

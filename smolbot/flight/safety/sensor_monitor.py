@@ -41,7 +41,7 @@ class SensorMonitor:
             Fault (``dead`` or ``saturated``), sensors from 0, and number of windows in a row; None if all work.
         """
         field = recording.field
-        if field.shape[1] < 2:  # a world that makes no samples
+        if field.shape[1] < 2:  # a world without samples
             return None
         constant = (field[:, 0] == field[:, -1]) & (field[:, 0] == field[:, field.shape[1] // 2])
         if constant.any():

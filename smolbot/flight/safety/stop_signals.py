@@ -38,17 +38,17 @@ def catch_stop_signals(latch: Latch) -> Iterator[None]:
 
     raised = False
 
-    def hear(number: int, _: FrameType | None) -> None:
+    def interrupt(number: int, _: FrameType | None) -> None:
         nonlocal raised
         if latch.over or raised:
             os.write(2, b"already stopping: outputs go to zero and the run folder is written\n")
             return
         raised = True
         reason = SIGTERM_REASON if number == signal.SIGTERM else CTRL_C_REASON
-        latch.trip(reason, "stopped", halt=False)  # halting is left to who catches this: it may be what was interrupted
+        latch.trip(reason, "stopped", halt=False)  # the signal may have interrupted a halt: the caller halts
         raise KeyboardInterrupt(reason)
 
-    before = {number: signal.signal(number, hear) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:

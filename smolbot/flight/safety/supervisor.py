@@ -24,8 +24,8 @@ Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 _LOG = logging.getLogger(__name__)
 
-_MIN_SIGMAS = 3.0  # by which a pose must lie outside what is allowed before it is believed
-_MAX_EARLY = 0.05  # s: a shot may begin before it was foreseen to; what another one heard is earlier by a whole shot
+_MIN_SIGMAS = 3.0  # number of standard deviations by which a pose must lie outside the allowed box
+_MAX_EARLY = 0.05  # s: a shot may begin a little early; a recording of another shot is earlier by a complete shot
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,10 @@ class Safety:
     Parameters
     ----------
     limits : Limits
-    rules : Rules
-    duty : Duty
+    rules : SafetyRules
+    duty : DutyCycle
     heat : CoilHeat
-    sensor_monitor : SoundWatch
+    sensor_monitor : SensorMonitor
         Detects dead and saturated sensors.
     latch : Latch, optional
         Stop latch of the run; a new one unless given.
@@ -128,8 +128,8 @@ class Safety:
             raise SafetyError("This run is over; nothing was played. Begin a new one.")
         broken = self.limits.broken(shot, magnet_near=self._magnet_near)
         if broken:
-            told = " ".join([*(one.said for one in broken), "Nothing was played."])
-            self._trip(told, broken[0].value, broken[0].limit, broken[0].unit, broken[0].channel)
+            reason = " ".join([*(one.said for one in broken), "Nothing was played."])
+            self._trip(reason, broken[0].value, broken[0].limit, broken[0].unit, broken[0].channel)
         self._magnet_near = is_magnet_near_after(shot, near=self._magnet_near)
         self._check_pose(shot, pose)
         self._advance_heat_and_duty(shot, now)
@@ -178,7 +178,7 @@ class Safety:
         self.recovered[LOST_WINDOWS] += self._missing
         self._missing = 0
         probes = shot.mode == "quiet" and any(isinstance(w, Actuate | Excite) for w in shot.windows)
-        if not probes:  # what is left of a drive is listened to on purpose, and may be too loud
+        if not probes:  # a probe records the decay of a drive on purpose, which may saturate sensors
             wrong = self._sensor_monitor.check_recording(recording)
             if wrong is not None:
                 kind, which, windows = wrong
@@ -220,7 +220,7 @@ class Safety:
     def _trip(
         self, reason: str, value: float | None = None, limit: float | None = None, unit: str = "", channel: str = ""
     ) -> None:
-        if not self.latch.trip(reason):  # for another reason, before
+        if not self.latch.trip(reason):  # it had tripped before, for another reason
             raise SafetyError(self.latch.reason)
         raise SafetyError(reason, value=value, limit=limit, unit=unit, channel=channel)
 
@@ -247,11 +247,11 @@ class Safety:
 
     def _check_position(self, pose: Pose, allowed_box: Bounds) -> None:
         for axis, low, high in zip(range(3), *allowed_box, strict=True):
-            at, sure = float(pose.position[axis]), _MIN_SIGMAS * math.sqrt(float(pose.covariance[axis, axis]))
-            if at + sure < low or at - sure > high:
+            at, margin = float(pose.position[axis]), _MIN_SIGMAS * math.sqrt(float(pose.covariance[axis, axis]))
+            if at + margin < low or at - margin > high:
                 self._trip(
-                    f"Out of reach: the robot's {'xyz'[axis]} is {1e3 * at:.1f} ± {1e3 * sure:.1f} mm; it may be from "
-                    f"{1e3 * low:.1f} to {1e3 * high:.1f} mm (container and reach_margin_mm). Nothing was played.",
+                    f"Out of reach: the robot's {'xyz'[axis]} is {1e3 * at:.1f} ± {1e3 * margin:.1f} mm; it may be "
+                    f"from {1e3 * low:.1f} to {1e3 * high:.1f} mm (container and reach_margin_mm). Nothing was played.",
                     at,
                     high if at > high else low,
                     "m",
@@ -277,15 +277,15 @@ class Safety:
             self._memory.keep(self.heat)
 
     def _check_duty(self, coil: int, start: float, end: float) -> None:
-        share = self.duty.add_span(coil, start, end)
+        share, name = self.duty.add_span(coil, start, end), self.duty.coil_names[coil]
         if share > self.rules.max_duty:
             self._trip(
-                f"Coil '{self.duty.coil_names[coil]}' would be driven for {100 * share:.0f} % of {self.duty.window:g} s; "
-                f"at most {100 * self.rules.max_duty:.0f} % (max_duty). Nothing was played.",
+                f"Coil '{name}' would be driven for {100 * share:.0f} % of {self.duty.window:g} s; at most "
+                f"{100 * self.rules.max_duty:.0f} % (max_duty). Nothing was played.",
                 share,
                 self.rules.max_duty,
                 "",
-                self.duty.coil_names[coil],
+                name,
             )
 
     def _check_heat(self) -> None:
@@ -303,9 +303,9 @@ class Safety:
 
     def _describe_stale(self, shot: Shot, recording: Recording, now: float) -> str:
         """Explain why a recording does not belong to this shot or is too old; empty if neither."""
-        asked = next(at for at, window in shot.timed() if isinstance(window, Listen))
-        early = shot.start + asked - recording.clock
-        listened = 0.0 if shot.listen is None else shot.listen.duration  # a world without samples says when it began
+        offset = next(at for at, window in shot.timed() if isinstance(window, Listen))
+        early = shot.start + offset - recording.clock
+        listened = 0.0 if shot.listen is None else shot.listen.duration  # `clock` is the start of the recording
         age = now - recording.clock - listened
         if early > max(_MAX_EARLY, 0.5 * shot.duration):
             return f"the recording began {early:.3f} s before it was asked for"
@@ -327,5 +327,5 @@ def make_limits_only_safety(limits: Limits, n_sensors: int) -> Safety:
     Safety
     """
     names = (*limits.coils, "excitation x", "excitation y")
-    sound = SensorMonitor(n_sensors, max_windows=1 << 62)
-    return Safety(limits, SafetyRules(), DutyCycle(names, 1.0), CoilHeat((None,) * len(names), 20.0), sound)
+    monitor = SensorMonitor(n_sensors, max_windows=1 << 62)
+    return Safety(limits, SafetyRules(), DutyCycle(names, 1.0), CoilHeat((None,) * len(names), 20.0), monitor)

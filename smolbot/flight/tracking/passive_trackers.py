@@ -1,4 +1,4 @@
-"""Trackers of devices that are not steered: one guided externally, or one located anew in each shot."""
+"""Trackers of devices that are not steered: one guided externally, or one located independently in each shot."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class VelocityTracker(Tracker):
     Parameters
     ----------
     device : Device
-    motion : Motion
+    motion : ExternalMotion
         Typical speed, turn rate and correlation time of the motion.
     """
 
@@ -77,7 +77,7 @@ class VelocityTracker(Tracker):
             Before the first pose.
         """
         if self._last is None or self._state is None:
-            raise ValueError("There is no pose yet to carry on.")
+            raise ValueError("There is no pose yet to predict from.")
         wait = max(time - self._state.time, 0.0)
         state = self._extrapolate(self._state, wait)
         covariance = state.covariance[:6, :6] + np.diag(PROCESS_NOISE_DENSITY**2 * wait)
@@ -104,14 +104,14 @@ class VelocityTracker(Tracker):
         noise = np.zeros(_SIZE)
         noise[:6] = PROCESS_NOISE_DENSITY**2 * wait
         noise[_A] = AMPLITUDE_STD**2
-        led = self._extrapolate(state, wait)
-        turned = compute_rotation_error(led.orientation, state.orientation)
+        ahead = self._extrapolate(state, wait)
+        turned = compute_rotation_error(ahead.orientation, state.orientation)
         path = (
             self._motion.compute_process_noise(wait)[0]
             * np.repeat([self._motion.speed, self._motion.turn_rate], 3) ** 2
         )
-        self.motion = led.position - state.position, turned, noise[:6] + path
-        self._state = replace(led, time=time, covariance=led.covariance + np.diag(noise))
+        self.motion = ahead.position - state.position, turned, noise[:6] + path
+        self._state = replace(ahead, time=time, covariance=ahead.covariance + np.diag(noise))
 
     def _update_rates(self, change: FloatArray) -> None:
         assert self._state is not None

@@ -25,10 +25,14 @@ MIN_SIGMAS = 4.0
 
 
 class ResonanceFilter:
-    """A Kalman filter on the differences of frequency and damping from the device that is believed in.
+    """A Kalman filter of the deviations of frequency and damping from the assumed device.
 
-    Every recording says a little of both, along with its pose. When enough has come together, the
-    belief is retuned.
+    Every recording gives an estimate of both along with its pose. Once a deviation is significant, the
+    assumed device is retuned.
+
+    Parameters
+    ----------
+    belief : DeviceBelief
     """
 
     def __init__(self, belief: DeviceBelief) -> None:
@@ -44,17 +48,23 @@ class ResonanceFilter:
 
     @property
     def sigma(self) -> FloatArray:
-        """Standard deviations (2,) of `off`."""
+        """Standard deviations (2,) of `deviation`."""
         return np.sqrt(np.diag(self._covariance))
 
     def update(self, time: float, measured: FloatArray, covariance: FloatArray) -> Device | None:
-        """Take in what one recording at `time` s says; return the device if the belief was retuned.
+        """Update with the estimate of one recording.
 
         Parameters
         ----------
+        time : float, in s
         measured : ndarray, shape (2,)
-            Difference of frequency (Hz) and damping (1/s) from the device's.
+            Deviation of frequency (Hz) and damping (1/s) from the device's.
         covariance : ndarray, shape (2, 2)
+
+        Returns
+        -------
+        Device or None
+            The retuned device; None if it was not retuned.
         """
         if not np.isfinite(covariance).all():
             return None
@@ -71,8 +81,8 @@ class ResonanceFilter:
         self._covariance = (np.eye(2) - gain) @ self._covariance
         device = self.belief.device
         worthwhile = np.array([MIN_CHANGE[0], MIN_CHANGE[1] * max(device.damping, 1.0)])
-        sure = (np.abs(self._deviation) > worthwhile) & (np.abs(self._deviation) > MIN_SIGMAS * self.sigma)
-        if not sure.any():
+        significant = (np.abs(self._deviation) > worthwhile) & (np.abs(self._deviation) > MIN_SIGMAS * self.sigma)
+        if not significant.any():
             return None
         self.belief.retune(
             device.frequency + float(self._deviation[0]), max(device.damping + float(self._deviation[1]), 0.0)

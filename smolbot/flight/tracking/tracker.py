@@ -94,29 +94,29 @@ class State:
 class Tracker:
     """A Kalman filter on position, orientation, amplitude of the swing, and drift.
 
-    Prediction moves the believed pose through a shot's windows by the controller's motion model.
-    Correction weighs a pose by its covariance, scaled by how surprising poses have been of late,
-    since a fit cannot see mains noise in its own residuals. Outliers are gated; when several in a
-    row agree with each other, they are believed and the track begins anew.
+    The prediction moves the pose through a shot's windows by the controller's motion model.
+    The update weighs a measured pose by its covariance, scaled by the innovations of recent poses,
+    since the residuals of a fit do not show mains noise. Outliers are rejected; once two rejected
+    poses in a row agree with each other, the track restarts from them.
 
     Parameters
     ----------
     robot : Robot, Helix or None
-        A helix rests in its gel, and moves in mechanical shots only.
+        A helix rests in its gel and moves in mechanical shots only; None for a device that is not steered.
     device : Device
     table : FieldTable or None
-        Field of the actuation coils; without one, or without a robot, windows are taken to cause no motion.
+        Field of the actuation coils; without it, or without a robot, windows are assumed to cause no motion.
 
     Attributes
     ----------
     motion : tuple of ndarray, or None
-        What the last shot is thought to have caused: step (3,) in m, turn (3,) in rad, and their variances (6,).
+        Predicted motion in the last shot: step (3,) in m, turn (3,) in rad, and their variances (6,).
 
     Examples
     --------
     >>> import smolbot
     >>> tracker = smolbot.Tracker(None, smolbot.load_robot("marker").device, None)
-    >>> tracker.pose is None  # before the first window was heard
+    >>> tracker.pose is None  # before the first recording
     True
     """
 
@@ -140,7 +140,7 @@ class Tracker:
 
     @property
     def orientation_uncertain(self) -> bool:
-        """True if the orientation is too uncertain to start a fit from, as the roll of a helix after a turn."""
+        """True if the orientation is too uncertain to start a fit from, such as a helix's roll after a turn."""
         if self._state is None or not self._embedded:
             return False
         return bool(np.max(np.diag(self._state.covariance)[_E]) > MAX_START_ANGLE_STD**2)
@@ -160,11 +160,11 @@ class Tracker:
 
     @property
     def drift(self) -> FloatArray:
-        """Steady velocity (3,), in m/s, in the world frame, that no window explains."""
+        """Steady velocity (3,), in m/s, in the world frame, that is not caused by windows."""
         return np.zeros(3) if self._state is None else self._state.drift.copy()
 
     def pose_at(self, time: float) -> Pose:
-        """Predict the tracked pose, with nothing driven in between.
+        """Predict the tracked pose at a time, with nothing driven in between.
 
         Parameters
         ----------
@@ -181,7 +181,7 @@ class Tracker:
             Before the first pose.
         """
         if self._last is None or self._state is None:
-            raise ValueError("There is no pose yet to carry on.")
+            raise ValueError("There is no pose yet to predict from.")
         wait = max(time - self._state.time, 0.0)
         covariance = self._state.covariance[:6, :6] + np.diag(PROCESS_NOISE_DENSITY**2 * wait * (not self._embedded))
         position = self._state.position + wait * self._state.drift
@@ -217,11 +217,11 @@ class Tracker:
                 self.misses += 1
             return self._last
         self._predict(shot, shot.end if pose is None else pose.time)
-        if pose is not None and self._device.along_cantilever:  # found from nothing, it may be the twin
+        if pose is not None and self._device.along_cantilever:  # found without a prior, it may be flipped
             nearer = choose_nearer_orientation(pose.orientation, self._state.orientation)
             pose = pose if nearer is pose.orientation else replace(pose, orientation=nearer)
-        believed = pose is not None and pose.trusted and self._apply_measurement(pose, swing)
-        if believed:
+        accepted = pose is not None and pose.trusted and self._apply_measurement(pose, swing)
+        if accepted:
             self.misses = 0
             self._accepted += 1
             self._candidate = None
@@ -229,7 +229,7 @@ class Tracker:
             self.misses += 1
             if pose is not None and pose.trusted:
                 self._restart_if_two_agree(pose)
-        return self._publish(pose, believed)
+        return self._publish(pose, accepted)
 
     def _begin(self, pose: Pose) -> None:
         covariance = np.zeros((_SIZE, _SIZE))
@@ -324,16 +324,16 @@ class Tracker:
         innovation = np.empty(6 if swing is None else 7)
         innovation[_P], innovation[_E] = pose.position - state.position, turned
         if swing is None:
-            heard = self._innovation_scale * pose.covariance + _MODEL_FLOOR[:6, :6]
+            measurement_covariance = self._innovation_scale * pose.covariance + _MODEL_FLOOR[:6, :6]
         else:
             top = self._device.theta_max
             innovation[_A] = swing.amplitude / top - state.amplitude
-            heard = self._innovation_scale * swing.covariance
-            heard[_A] /= top
-            heard[:, _A] /= top
-            heard += _MODEL_FLOOR
+            measurement_covariance = self._innovation_scale * swing.covariance
+            measurement_covariance[_A] /= top
+            measurement_covariance[:, _A] /= top
+            measurement_covariance += _MODEL_FLOOR
         m = len(innovation)
-        distance, change, covariance = update(state.covariance, heard, innovation)
+        distance, change, covariance = update(state.covariance, measurement_covariance, innovation)
         if not distance <= GATE + 2.0 * (m - 6):
             return False
         surprise = 0.95 * self._innovation_scale + 0.05 * self._innovation_scale * distance / m
@@ -353,7 +353,7 @@ class Tracker:
     def _update_rates(self, change: FloatArray) -> None:
         """Update further states that a subclass has; here there are none."""
 
-    def _publish(self, pose: Pose | None, believed: bool) -> Pose:
+    def _publish(self, pose: Pose | None, accepted: bool) -> Pose:
         state = self._state
         assert state is not None
         self._last = Pose(
@@ -363,6 +363,6 @@ class Tracker:
             covariance=state.covariance[:6, :6],
             r_squared=pose.r_squared if pose is not None else 0.0,
             flip_margin=pose.flip_margin if pose is not None else 1.0,
-            trusted=believed,
+            trusted=accepted,
         )
         return self._last

@@ -115,20 +115,6 @@ class Holder:
     place_std: FloatArray
     turn_std: FloatArray
 
-    def compute_device_pose(self, pose: Pose) -> Pose:
-        """Compute the pose of the device from the pose of the track.
-
-        Parameters
-        ----------
-        pose : Pose
-            Of the track.
-
-        Returns
-        -------
-        Pose
-        """
-        return compute_pose_in_holder(pose, np.concatenate([self.place, self.turn]))
-
 
 @dataclass(frozen=True, eq=False)
 class ArrayCalibration:
@@ -227,7 +213,7 @@ def calibrate_sensors(
             f"{len(recordings)} recordings leave {len(used)} to learn from and {len(aside)} to check with; at least "
             f"{MIN_LEARNED} and {MIN_HELD_OUT} are needed, and three times as many are recommended."
         )
-    heard = [ReducedRecording.from_recording(recordings[i], track[i], sensors, device, hum) for i in used]
+    reduced = [ReducedRecording.from_recording(recordings[i], track[i], sensors, device, hum) for i in used]
     frames = np.stack([compute_transverse_axes(axis) for axis in sensors.axes])
     deviations = (
         np.array([priors.gain, priors.axis, priors.axis, *[priors.place] * 3]),
@@ -236,11 +222,11 @@ def calibrate_sensors(
     found = Unknowns(
         np.zeros((len(sensors), UNKNOWNS_PER_SENSOR)),
         np.zeros(UNKNOWNS_OF_HOLDER),
-        np.array([h.amplitude for h in heard]),
+        np.array([r.amplitude for r in reduced]),
     )
     for _ in range(GAUSS_NEWTON_STEPS):
         found, spread, loose = compute_gauss_newton_step(
-            heard, sensors, device, frames, found, deviations, priors.track
+            reduced, sensors, device, frames, found, deviations, priors.track
         )
     array, gains = correct_array(sensors, frames, found.sensors), np.exp(found.sensors[:, 0])
     check = [(recordings[i], compute_pose_in_holder(track[i], found.holder)) for i in sorted(aside)]

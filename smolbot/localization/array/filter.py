@@ -34,7 +34,7 @@ AMPLITUDE_VARIATION = 0.02
 MIN_SIGMAS = 4.0
 """Standard deviations by which chi-square must exceed its expectation under noise before sensors are corrected.
 
-Without it, noise would move sensors that are where they should be."""
+Without it, noise would move sensors whose positions are right."""
 
 LEARNED = 0.5
 """Share of the prior variance below which a combination of deviations counts as measured."""
@@ -60,7 +60,7 @@ class ArrayPrior:
     ----------
     sensors, device : SensorArray, Device
         As assumed before anything is learned.
-    covariance : ndarray, shape (PER_SENSOR * n + OF_DEVICE, PER_SENSOR * n + OF_DEVICE)
+    covariance : ndarray, shape (6 * n + 2, 6 * n + 2)
         Of the deviations: for each sensor ln gain, two tilts (rad) and position (m); then ln moment, and l0 (m).
     frames : ndarray, shape (n, 2, 3)
         Directions of the tilts, perpendicular to each axis.
@@ -74,14 +74,14 @@ class ArrayPrior:
     def __post_init__(self) -> None:
         n = DEVIATIONS_PER_SENSOR * len(self.sensors) + DEVIATIONS_OF_DEVICE
         if self.covariance.shape != (n, n):
-            raise InputError(f"ArrayBelief covariance must have shape ({n}, {n}); got {self.covariance.shape}.")
+            raise InputError(f"ArrayPrior covariance must have shape ({n}, {n}); got {self.covariance.shape}.")
 
     def make_array(self, deviations: FloatArray) -> SensorArray:
         """Make the array whose sensors deviate from the assumed ones.
 
         Parameters
         ----------
-        deviations : ndarray, shape (PER_SENSOR * n + OF_DEVICE,)
+        deviations : ndarray, shape (DEVIATIONS_PER_SENSOR * n + DEVIATIONS_OF_DEVICE,)
 
         Returns
         -------
@@ -97,7 +97,7 @@ class ArrayPrior:
 
         Parameters
         ----------
-        deviations : ndarray, shape (PER_SENSOR * n + OF_DEVICE,)
+        deviations : ndarray, shape (DEVIATIONS_PER_SENSOR * n + DEVIATIONS_OF_DEVICE,)
 
         Returns
         -------
@@ -125,17 +125,17 @@ def compute_tilt_frames(sensors: SensorArray) -> FloatArray:
 class ArrayFilter:
     """Kalman filter of a device's position, orientation and amplitude, and of the deviations of sensors and device.
 
-    Before every recording, call `predict` with the predicted motion of the robot, then `update` with the recording's
+    For every recording, call `predict` with the predicted motion of the robot, then `update` with the recording's
     terms. When `update` returns True, enough was learned: use `sensors`, `moment` and `l0` from then on; later
-    terms must be of fits with those.
+    terms must come from fits with those.
 
     Parameters
     ----------
-    prior : ArrayBelief
+    prior : ArrayPrior
 
     Attributes
     ----------
-    prior : ArrayBelief
+    prior : ArrayPrior
     deviations : ndarray, shape (n,)
         Of sensors and device, as estimated.
     sensors, moment, l0 : SensorArray, float in A·m², float in m
@@ -151,7 +151,7 @@ class ArrayFilter:
         self.sensors, self.moment, self.l0 = prior.sensors, prior.device.moment, prior.device.l0
         self.recordings = 0
         self._applied = np.zeros(n)
-        self._told = False
+        self._significant = False
         self._covariance = np.zeros((_POSE + n, _POSE + n))
         self._covariance[_POSE:, _POSE:] = prior.covariance
         self._position: FloatArray | None = None
@@ -214,8 +214,8 @@ class ArrayFilter:
         if self._waiting < UPDATE_INTERVAL:
             return False
         self._update_deviations()
-        self._told = self._told or is_significant(self.deviations, self.covariance, self.prior.covariance)
-        if not self._told:
+        self._significant = self._significant or is_significant(self.deviations, self.covariance, self.prior.covariance)
+        if not self._significant:
             return False
         change = terms.sensitivity[:3] @ (self.deviations - self._applied)
         if not float(np.linalg.norm(change)) > MIN_POSE_CHANGE:
@@ -243,7 +243,7 @@ class ArrayFilter:
         innovation[:3] += pose.position - self._position
         innovation[3:6] += compute_rotation_error(pose.orientation, self._orientation)
         innovation[6] += terms.amplitude - self._amplitude
-        # found = true - lean @ deviations: the measurement matrix is (1, -lean)
+        # found = true - sensitivity @ deviations: the measurement matrix is (1, -sensitivity)
         cross = self._covariance[:, :_POSE] - self._covariance[:, _POSE:] @ terms.sensitivity.T
         total = cross[:_POSE] - terms.sensitivity @ cross[_POSE:] + terms.covariance
         gain = np.linalg.solve(total, cross.T).T
@@ -304,6 +304,6 @@ def is_significant(deviations: FloatArray, covariance: FloatArray, prior: FloatA
     count = int(known.sum())
     if count == 0:
         return False
-    seen = vectors[:, known].T @ (deviations[free] / scale)
-    square = float(np.sum(seen**2 / (values[known] * (1.0 - values[known]))))
+    components = vectors[:, known].T @ (deviations[free] / scale)
+    square = float(np.sum(components**2 / (values[known] * (1.0 - values[known]))))
     return square > count + MIN_SIGMAS * math.sqrt(2.0 * count)

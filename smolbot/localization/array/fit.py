@@ -43,9 +43,9 @@ class Unknowns:
 
     Attributes
     ----------
-    sensors : ndarray, shape (n_sensors, PER_SENSOR)
+    sensors : ndarray, shape (n_sensors, UNKNOWNS_PER_SENSOR)
         ln gain, two tilts (rad), three coordinates (m) of each.
-    holder : ndarray, shape (HOLDER,)
+    holder : ndarray, shape (UNKNOWNS_OF_HOLDER,)
         Position (m) and turn (rad) of the device in its holder, body frame.
     amplitudes : ndarray, shape (n_recordings,)
         At the end of each drive, in units of `device.fit.REFERENCE`.
@@ -63,7 +63,7 @@ def compute_pose_in_holder(pose: Pose, holder: FloatArray) -> Pose:
     ----------
     pose : Pose
         Of the holder.
-    holder : ndarray, shape (HOLDER,)
+    holder : ndarray, shape (UNKNOWNS_OF_HOLDER,)
         Position (m) and turn (rad) of the device in it, body frame.
 
     Returns
@@ -83,7 +83,7 @@ class ReducedRecording:
     ----------
     pose : Pose
         The known pose.
-    thinned : Thinned
+    thinned : ThinnedRecording
     first : ndarray, shape (n_blocks,)
         Whitened wave of the first power.
     higher : ndarray, shape (POWERS - 1, n_blocks)
@@ -119,7 +119,7 @@ class ReducedRecording:
 
         Returns
         -------
-        Heard
+        ReducedRecording
         """
         thinned = thin_recording(recording, sensors, device.frequency, hum)
         sizes = compute_power_coefficients(sensors, device, pose.position, pose.orientation)[thinned.used]
@@ -168,15 +168,15 @@ def compute_gauss_newton_step(
 
     Parameters
     ----------
-    recordings : sequence of Heard
+    recordings : sequence of ReducedRecording
     sensors : SensorArray
         As assumed.
     device : Device
     frames : ndarray, shape (n_sensors, 2, 3)
-        Directions of each sensor's tilts (`across`).
+        Directions of each sensor's tilts.
     now : Unknowns
         Before the step.
-    deviations : two ndarrays, shapes (PER_SENSOR,) and (HOLDER,)
+    deviations : two ndarrays, shapes (UNKNOWNS_PER_SENSOR,) and (UNKNOWNS_OF_HOLDER,)
         Standard deviations of the priors of sensors and holder.
     track_error : float, in m
         Error of the known positions.
@@ -185,9 +185,9 @@ def compute_gauss_newton_step(
     -------
     unknowns : Unknowns
         After the step.
-    sensor_std : ndarray, shape (n_sensors, PER_SENSOR)
+    sensor_std : ndarray, shape (n_sensors, UNKNOWNS_PER_SENSOR)
         Remaining standard deviations.
-    holder_std : ndarray, shape (HOLDER,)
+    holder_std : ndarray, shape (UNKNOWNS_OF_HOLDER,)
     """
     n = len(sensors)
     own = n * UNKNOWNS_PER_SENSOR
@@ -214,9 +214,9 @@ def compute_gauss_newton_step(
             right[index] += gradient * (measured[row] - model) / error
     # priors of sensors and holder
     weights = np.concatenate([np.tile(deviations[0] ** -2, n), deviations[1] ** -2])
-    believed = np.arange(len(weights))
-    normal[believed, believed] += weights
-    right[believed] -= weights * np.concatenate([now.sensors.ravel(), now.holder])
+    with_prior = np.arange(len(weights))
+    normal[with_prior, with_prior] += weights
+    right[with_prior] -= weights * np.concatenate([now.sensors.ravel(), now.holder])
     loud = np.arange(len(weights), n_unknown)
     normal[loud, loud] += AMPLITUDE_PRIOR_WEIGHT  # bounds an amplitude that the model cannot explain
     covariance = np.linalg.inv(normal)
@@ -230,7 +230,7 @@ def compute_gauss_newton_step(
 
 
 def _clip_to_priors(values: FloatArray, deviations: FloatArray) -> FloatArray:
-    """Clip values to `FARTHEST` deviations, so that recordings of another track cannot cause an overflow."""
+    """Clip values to `MAX_PRIOR_SIGMAS` deviations, so that recordings of another track cannot cause an overflow."""
     return np.clip(values, -MAX_PRIOR_SIGMAS * deviations, MAX_PRIOR_SIGMAS * deviations)
 
 
@@ -279,8 +279,8 @@ def correct_array(sensors: SensorArray, frames: FloatArray, values: FloatArray) 
     sensors : SensorArray
         As assumed.
     frames : ndarray, shape (n_sensors, 2, 3)
-        Directions of each sensor's tilts (`across`).
-    values : ndarray, shape (n_sensors, PER_SENSOR)
+        Directions of each sensor's tilts.
+    values : ndarray, shape (n_sensors, UNKNOWNS_PER_SENSOR)
         ln gain (not used), two tilts (rad), three coordinates (m).
 
     Returns

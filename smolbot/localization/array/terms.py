@@ -117,8 +117,8 @@ def compute_array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> Array
     )
     longer = np.zeros_like(out)
     _kernels.evaluate_model(
-        matrix, labels, positions, axes, moment, l0 + _L0_STEP, angles, powers, *place, fit.phase, fit.amplitude, longer,
-        np.zeros((compiled.N_PARAMETERS, len(out))),
+        matrix, labels, positions, axes, moment, l0 + _L0_STEP, angles, powers, *place, fit.phase, fit.amplitude,
+        longer, np.zeros((compiled.N_PARAMETERS, len(out))),
     )  # fmt: skip
     # nuisances: rotation during the recording, and errors of frequency and damping
     turning = TURN_STD * slopes[:, 0, 3:].T @ model.ramps  # power 0 is the field of the device at rest
@@ -129,7 +129,7 @@ def compute_array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> Array
             for size, slope in zip(spread, model.slopes, strict=True)
         ]
     )
-    found, step, covariance, lean, information, right, left = separate_pose_and_deviations(
+    found, step, covariance, sensitivity, information, right, left = separate_pose_and_deviations(
         np.concatenate([jacobian.T, rows, out[None], (longer - out)[None] / _L0_STEP]),
         np.concatenate([turning, retuned]),
         problem.data - out,
@@ -144,10 +144,10 @@ def compute_array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> Array
             [np.repeat(model.used, DEVIATIONS_PER_SENSOR), np.ones(DEVIATIONS_OF_DEVICE, dtype=np.bool_)]
         )
         count = len(kept)
-        wide_lean, wide_right, wide = np.zeros((7, count)), np.zeros(count), np.zeros((count, count))
-        wide_lean[:, kept], wide_right[kept], wide[np.ix_(kept, kept)] = lean, right, information
-        lean, right, information = wide_lean, wide_right, wide
-    return ArrayTerms(step, doubt * covariance, lean, information / doubt, right / doubt, fit.amplitude)
+        wide_sensitivity, wide_right, wide = np.zeros((7, count)), np.zeros(count), np.zeros((count, count))
+        wide_sensitivity[:, kept], wide_right[kept], wide[np.ix_(kept, kept)] = sensitivity, right, information
+        sensitivity, right, information = wide_sensitivity, wide_right, wide
+    return ArrayTerms(step, doubt * covariance, sensitivity, information / doubt, right / doubt, fit.amplitude)
 
 
 @njit(cache=True, error_model="python", fastmath=True)
@@ -157,9 +157,9 @@ def compute_sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitu
     Parameters
     ----------
     matrix : ndarray, shape (n_functions, n_channels, n_out)
-        Response of the linear chain; see `kernels.model`.
+        Response of the linear chain; see `kernels.evaluate_model`.
     labels : ndarray of int, shape (n_functions, 3)
-        See `kernels.model`.
+        See `kernels.evaluate_model`.
     values : ndarray, shape (4, n_channels, K), in T
         Power series along each sensor's axis, and along x, y and z.
     slopes : ndarray, shape (n_channels, K, 6), in T/m and T/rad
@@ -172,7 +172,7 @@ def compute_sensor_slopes(matrix, labels, values, slopes, frames, phase, amplitu
 
     Returns
     -------
-    ndarray, shape (PER_SENSOR * n_channels, n_out)
+    ndarray, shape (DEVIATIONS_PER_SENSOR * n_channels, n_out)
     """
     n_functions, n, n_out = matrix.shape
     out = np.zeros((DEVIATIONS_PER_SENSOR * n, n_out))
@@ -261,7 +261,7 @@ def separate_pose_and_deviations(
         Of the pose.
     covariance : ndarray, shape (7, 7)
         Of the pose.
-    lean : ndarray, shape (7, m)
+    sensitivity : ndarray, shape (7, m)
         See `ArrayTerms`.
     information : ndarray, shape (m, m)
         Of the deviations.
@@ -273,24 +273,25 @@ def separate_pose_and_deviations(
     data = residual.reshape(1, -1)
     inner = _invert(np.eye(len(disturbances)) + compute_inner_products(disturbances, disturbances))
     across = compute_inner_products(rows, disturbances) @ inner
-    rest = rows - across @ disturbances  # C^-1 times the rows, C = 1 + strays^T strays
+    rest = rows - across @ disturbances  # C^-1 times the rows, C = 1 + disturbances^T disturbances
     normal = compute_inner_products(rows, rest)
-    right, heard = compute_inner_products(rest, data)[:, 0], compute_inner_products(disturbances, data)[:, 0]
-    square = compute_inner_products(data, data)[0, 0] - heard @ inner @ heard
+    right, projected = compute_inner_products(rest, data)[:, 0], compute_inner_products(disturbances, data)[:, 0]
+    square = compute_inner_products(data, data)[0, 0] - projected @ inner @ projected
     information = normal[_FITTED:, _FITTED:]
     scale = 1.0 / np.sqrt(np.maximum(normal.diagonal()[:_FITTED], TINY))
     scaled = normal[:_FITTED, :_FITTED] * scale[:, None] * scale
     if not lapack.dsyevd(scaled, compute_v=0)[0][0] >= MIN_EIGENVALUE:
         nothing = np.zeros(7), np.zeros((7, 7)), np.zeros((7, len(information)))
         return False, *nothing, information, right[_FITTED:], square
-    whole = _invert(scaled)
-    whole *= scale[:, None] * scale
-    step, mixed = whole @ right[:_FITTED], normal[:_FITTED, _FITTED:]
-    shift = whole @ mixed  # (8, m)
-    pose, lean, covariance = (
+    inverse = _invert(scaled)
+    inverse *= scale[:, None] * scale
+    step, mixed = inverse @ right[:_FITTED], normal[:_FITTED, _FITTED:]
+    shift = inverse @ mixed  # (8, m)
+    pose, sensitivity, covariance = (
         step[_POSE_AND_AMPLITUDE],
         -shift[_POSE_AND_AMPLITUDE],
-        whole[_POSE_AND_AMPLITUDE[:, None], _POSE_AND_AMPLITUDE],
+        inverse[_POSE_AND_AMPLITUDE[:, None], _POSE_AND_AMPLITUDE],
     )
     information = information - mixed.T @ shift  # Schur complement: the pose is eliminated
-    return True, pose, covariance, lean, information, right[_FITTED:] - mixed.T @ step, square - right[:_FITTED] @ step
+    left = square - right[:_FITTED] @ step
+    return True, pose, covariance, sensitivity, information, right[_FITTED:] - mixed.T @ step, left

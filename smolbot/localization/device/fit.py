@@ -56,7 +56,7 @@ class DeviceFit:
     Attributes
     ----------
     device : Device
-        With the frequency and damping that were fitted; theta_max is as given.
+        With the fitted frequency and damping; theta_max is as given.
     position : ndarray, shape (3,), in m
     orientation : ndarray, shape (4,)
     amplitude : float, in rad
@@ -100,16 +100,11 @@ def compute_power_coefficients(
     ndarray, shape (n_sensors, POWERS), in T
         Of the powers 1 to `POWERS`; the constant is not observable. Exact to 1e-6 of the signal within 40 degrees.
     """
-    nodes, inverse = _compute_nodes_and_inverse()
+    nodes = NODE_SPREAD * np.cos(np.pi * (np.arange(POWERS + 1) + 0.5) / (POWERS + 1))
+    inverse = np.linalg.inv(np.vander(nodes, POWERS + 1, increasing=True))
     values = compute_sensor_field(sensors, device, position, orientation, nodes * REFERENCE)
     coefficients: FloatArray = (values @ inverse.T)[:, 1:]
     return coefficients
-
-
-def _compute_nodes_and_inverse() -> tuple[FloatArray, FloatArray]:
-    nodes = NODE_SPREAD * np.cos(np.pi * (np.arange(POWERS + 1) + 0.5) / (POWERS + 1))
-    inverse: FloatArray = np.linalg.inv(np.vander(nodes, POWERS + 1, increasing=True)).astype(np.float64)
-    return nodes, inverse
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,9 +187,9 @@ def fit_device(
     fix_time : bool
         Hold frequency and damping as given.
     hum : Hum, optional
-        Mains lines in the room; see `thin`.
+        Mains lines in the room; see `thin_recording`.
     duration : float, optional, in s
-        Length of the recording's beginning that is used; see `thin`.
+        Length of the recording's beginning that is used; see `thin_recording`.
 
     Returns
     -------
@@ -203,7 +198,7 @@ def fit_device(
     Raises
     ------
     InputError
-        As for `thin`.
+        As for `thin_recording`.
     """
     thinned = thin_recording(recording, sensors, device.frequency, hum, duration)
     # parameters: shift (0..2, m), rotation (3..5, rad), phase 6, ln amplitude 7, frequency 8, ln damping 9

@@ -1,6 +1,6 @@
 """Frequency and damping of the free oscillation, measured without a pose.
 
-`measure` needs no pose and no amplitude: each channel has its own size and phase at f and at 2f,
+`measure_ring_down` needs no pose and no amplitude: each channel has its own size and phase at f and at 2f,
 only f and the damping are common.
 """
 
@@ -101,18 +101,18 @@ def measure_ring_down(
     Raises
     ------
     InputError
-        As for `thin`.
+        As for `thin_recording`.
     """
     model = damping_model or device.damping_model
     base = replace(device, damping_model=model)
     thinned = thin_recording(recording, sensors, device.frequency, hum)
 
-    def made(values: FloatArray) -> Device:
+    def make_device(values: FloatArray) -> Device:
         frequency = np.clip(values[0], *(FREQUENCY_RANGE * device.frequency))
         return replace(base, frequency=float(frequency), damping=float(np.exp(np.clip(values[1], *LOG_DAMPING_RANGE))))
 
     def residual(values: FloatArray) -> FloatArray:
-        basis = _compute_harmonic_basis(thinned, made(values))
+        basis = _compute_harmonic_basis(thinned, make_device(values))
         return np.ravel(thinned.data - (thinned.data @ basis) @ basis.T) / BLOCK_NOISE
 
     span = min(search, SEARCH_SHARE * device.frequency)
@@ -123,10 +123,10 @@ def measure_ring_down(
         for f in device.frequency
         + np.linspace(-span, span, 2 * int(span / _choose_grid_step(thinned, np.exp(rate))) + 1)
     ]
-    heard = [float(np.sum((thinned.data @ _compute_harmonic_basis(thinned, made(values))) ** 2)) for values in grid]
-    best = grid[int(np.argmax(heard))]
+    bases = (_compute_harmonic_basis(thinned, make_device(values)) for values in grid)
+    best = grid[int(np.argmax([float(np.sum((thinned.data @ basis) ** 2)) for basis in bases]))]
     values, covariance, cost = minimize(residual, best, FIT_STEPS)
-    found = made(values)
+    found = make_device(values)
     channels, blocks = thinned.data.shape
     excess = cost / max(channels * (blocks - N_WAVES) - 2, 1)  # relative to the expected noise
     spread = np.sqrt(np.diag(covariance) * excess)
@@ -148,8 +148,8 @@ def measure_ring_down(
 
 def _choose_grid_step(thinned: ThinnedRecording, damping: float) -> float:
     """Choose the step, in Hz, of a frequency grid that misses no peak."""
-    heard = min(float(thinned.time[-1] - thinned.time[0]), 2.0 / damping)
-    return max(GRID_SHARE / heard, MIN_GRID)
+    duration = min(float(thinned.time[-1] - thinned.time[0]), 2.0 / damping)
+    return max(GRID_SHARE / duration, MIN_GRID)
 
 
 def _compute_harmonic_basis(thinned: ThinnedRecording, device: Device) -> FloatArray:

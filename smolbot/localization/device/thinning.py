@@ -2,8 +2,8 @@
 
 A constant and a slow drift of each channel, and the mains with its harmonics, whose frequency may deviate a little,
 are removed from data and model alike. They are nuisance parameters of a known size: a short window, which cannot
-distinguish 100 Hz from 103.5 Hz, thus keeps its signal, while a long window measures them when the oscillation has
-died away.
+distinguish 100 Hz from 103.5 Hz, thus keeps its signal, while a long window measures them once the oscillation has
+decayed.
 """
 
 from __future__ import annotations
@@ -190,7 +190,7 @@ def thin_recording(
 
     Returns
     -------
-    Thinned
+    ThinnedRecording
 
     Raises
     ------

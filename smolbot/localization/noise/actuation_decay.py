@@ -1,8 +1,8 @@
 """Decaying current of the actuation coils during listening: identified once, and subtracted from every recording.
 
 An air coil of some millitesla a few centimetres from a fluxgate is measurable for more than ten of its time
-constants. When listening begins early, the rest of an actuation is a nanotesla that decays within the window; it
-looks like a device that turns, and always biases poses in the same way. A free decay in every channel would cost
+constants. If listening begins early, about a nanotesla is left of an actuation's field and decays within the window;
+it resembles a turn of the device, and biases all poses in the same way. A free decay in every channel would cost
 half of the window's information. But the decay is the same every time: size and time constant are learned from a
 weak actuation of each coil before the flight, and the remaining field follows from the commands of a shot.
 """
@@ -45,14 +45,14 @@ class CoilDecays:
 
     Attributes
     ----------
-    decays : tuple of Tail or None
+    decays : tuple of CoilDecay or None
         In the order of a window's currents; None for a coil without a measurable decay.
     """
 
     decays: tuple[CoilDecay | None, ...] = ()
 
     def compute_field(self, shot: Shot, n: int, sample_rate: float) -> FloatArray | None:
-        """Compute the field that the actuations of a shot leave in the recording of its `Listen` window.
+        """Compute the field of a shot's decaying actuation currents during its `Listen` window.
 
         Between shots more than ten time constants pass, so earlier shots do not matter.
 
@@ -66,7 +66,7 @@ class CoilDecays:
         Returns
         -------
         ndarray, shape (n_sensors, n), in T, or None
-            None if nothing is left.
+            None if the field is negligible.
         """
         listens = next((at for at, window in shot.timed() if isinstance(window, Listen)), None)
         out: FloatArray | None = None
@@ -87,7 +87,7 @@ class CoilDecays:
         return out
 
     def subtract_from(self, shot: Shot, recording: Recording) -> Recording:
-        """Subtract from a recording the field that the actuations of its shot left in it.
+        """Subtract from a recording the field of its shot's decaying actuation currents.
 
         Parameters
         ----------
@@ -117,13 +117,13 @@ def identify_decay(shot: Shot, recordings: Sequence[Recording], frequency: float
 
     Returns
     -------
-    Tail or None
-        None where no decay can be measured.
+    CoilDecay or None
+        None if no decay can be measured.
 
     Raises
     ------
     InputError
-        If the shot has no `Actionuate` before a `Listen`, or drives more than one coil.
+        If the shot has no `Actuate` before a `Listen`, or drives more than one coil.
     """
     ends = [(at, window) for at, window in shot.timed() if isinstance(window, Actuate)]
     listens = [at for at, window in shot.timed() if isinstance(window, Listen)]

@@ -36,7 +36,7 @@ _MAINS = 50.0
 
 
 def learn_time_constant(probes: Sequence[Recording], frequency: float) -> float:
-    """Learn the time constant of the decay that a drive leaves in all channels.
+    """Learn the time constant of the decay after a drive, common to all channels.
 
     Each channel has its own size of one common exponential, a constant, and oscillations at the
     device's resonance and at the mains, which are fitted as well; only the exponential's time constant
@@ -104,9 +104,9 @@ def _compute_squared_residual(probe: Recording, tau: float, frequency: float) ->
     """Compute the squared residual of all usable channels for one time constant."""
     time, blocks = _average_blocks(probe)
     design = _make_design_matrix(time, tau, frequency)
-    heard = blocks[~probe.saturated]
-    solution = np.linalg.lstsq(design, heard.T, rcond=None)[0]
-    return float(np.sum((heard.T - design @ solution) ** 2))
+    usable = blocks[~probe.saturated]
+    solution = np.linalg.lstsq(design, usable.T, rcond=None)[0]
+    return float(np.sum((usable.T - design @ solution) ** 2))
 
 
 def _average_blocks(probe: Recording) -> tuple[FloatArray, FloatArray]:
@@ -126,8 +126,8 @@ def _make_design_matrix(time: FloatArray, tau: float, frequency: float) -> Float
 def make_decay_columns(time: FloatArray, constants: tuple[float, ...]) -> FloatArray:
     """Make the columns of decays for a linear fit.
 
-    Time constants closer than `ALIKE` count as one: their difference cannot be measured, and a free pair of
-    them would absorb part of the signal.
+    Time constants that differ by less than `MIN_RELATIVE_DIFFERENCE` count as one: their difference cannot be
+    measured, and two free decays would absorb part of the signal.
 
     Parameters
     ----------

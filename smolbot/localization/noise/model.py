@@ -30,7 +30,7 @@ MIN_DENSITY = 1e-3
 """Smallest noise power, as a share of the sensors' floor: keeps covariances invertible above the bandwidth."""
 
 SAME_SPACING = 1.001
-"""Factor within which the frequencies of a model already have the spacing asked for."""
+"""Factor within which the frequencies of a model already have the requested spacing."""
 
 POINTS_PER_LINE = 8.0
 """Frequencies in one over a window's length at which the spectrum is integrated."""
@@ -50,17 +50,17 @@ class NoiseModel:
         Mean of a a^H of the lines' peak phasors a.
     frequencies : ndarray, shape (n_frequencies,), in Hz
     spectrum : ndarray of complex, shape (n_frequencies, n_sensors, n_sensors), in T²/Hz
-        One-sided cross-spectral density of what is left.
+        One-sided cross-spectral density of the noise without the lines.
     block : float, in s
-        Length of the blocks over which the quiet samples were averaged.
+        Length of the blocks over which the samples of background noise were averaged.
 
     Examples
     --------
     >>> import numpy as np
     >>> import smolbot
     >>> rng = np.random.default_rng(1)
-    >>> quiet = [smolbot.Recording(1e-9 * rng.normal(size=(3, 10000)), 10e3, np.inf) for _ in range(4)]
-    >>> smolbot.NoiseModel.learn(quiet).n_sensors
+    >>> recordings = [smolbot.Recording(1e-9 * rng.normal(size=(3, 10000)), 10e3, np.inf) for _ in range(4)]
+    >>> smolbot.NoiseModel.learn(recordings).n_sensors
     3
     """
 
@@ -77,7 +77,7 @@ class NoiseModel:
 
     @classmethod
     def learn(cls, quiet: Sequence[Recording]) -> NoiseModel:
-        """Learn from recordings of background noise; ten seconds in all are plenty.
+        """Learn from recordings of background noise; ten seconds in all suffice.
 
         A channel that is saturated or constant in all of them gives no information on its noise, and is assumed to
         be as noisy as the others and uncorrelated with them. Recordings in which another channel is saturated or
@@ -95,7 +95,8 @@ class NoiseModel:
         Raises
         ------
         InputError
-            If there is none, they differ, are too short, hold values that are not finite, or no channel is usable.
+            If there is no recording, if they differ in rate or channels, are too short or have values that are not
+            finite, or if no channel is usable.
         """
         if not quiet:
             raise InputError("NoiseModel.learn needs at least one background recording; got none.")
@@ -126,7 +127,6 @@ class NoiseModel:
 
     def _with_unknown_channels(self, unknown: BoolArray) -> NoiseModel:
         """Return the model of all channels, those of `unknown` with the mean noise of the others."""
-
         known = np.flatnonzero(~unknown)
 
         def wider(matrices: ComplexArray) -> ComplexArray:
@@ -149,7 +149,7 @@ class NoiseModel:
         mains: float = 10e-9,
         mains_gradient: float = 30e-9,
     ) -> NoiseModel:
-        """Make a plausible model before any recording: mains of unknown direction, and the sensors' own noise.
+        """Make a typical model without any recording: mains of unknown direction, and the sensors' own noise.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class NoiseModel:
         )
 
     def rescaled(self, ratios: FloatArray) -> NoiseModel:
-        """Return the model with another power of each sensor's smooth part; the lines stay.
+        """Return the model with the power of each sensor's smooth part changed; the lines stay.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
 """Fit residuals of a recording, channel by channel, compared with the noise model's prediction.
 
 Each channel's residual is compared with the prediction from the other channels. Mains noise, which all channels
-measure, is predicted, so that a sensor whose own noise has increased stands out.
+measure, is predicted, so that an increase of one sensor's own noise is detected.
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ def _compute_channel_whitener(model: LinearModel, noise: NoiseModel, block: floa
         factor = np.linalg.cholesky(precision[own, own])
         whitened = np.linalg.solve(factor, precision[own]).reshape(m, n, m)
         out[j] = np.einsum("rjb,tb->rjt", whitened, kept).reshape(m, -1)
-    answers = np.zeros((n * n_blocks, len(model.functions), n))
+    responses = np.zeros((n * n_blocks, len(model.functions), n))
     for j in range(n):
-        answers[j * n_blocks : (j + 1) * n_blocks, :, j] = model.functions[:, :n_blocks].T
-    return np.ascontiguousarray(out.reshape(n * m, -1)), answers
+        responses[j * n_blocks : (j + 1) * n_blocks, :, j] = model.functions[:, :n_blocks].T
+    return np.ascontiguousarray(out.reshape(n * m, -1)), responses
 
 
 def compute_energies(
@@ -80,15 +80,16 @@ def compute_energies(
         Both zero for sensors that took no part. For noise as predicted, `found` is `expected` on average, with a
         variance of twice that.
     """
-    whiten, answers = _compute_channel_whitener(
+    whiten, responses = _compute_channel_whitener(
         model.array_independent, noise, model.chain.weights.shape[1] / recording.sample_rate
     )
     n = len(model.positions)
     n_blocks = whiten.shape[1] // n
     place = (fit.position, fit.rotation, fit.phase, fit.amplitude)
-    signal, jacobian = model.compute_response(*place, matrix=answers)
-    heard = _kernels.apply_taps(np.ascontiguousarray(recording.field[model.used]), model.chain.first, model.chain.weights)
-    left = whiten @ (heard[:, :n_blocks].reshape(-1) - signal)
+    signal, jacobian = model.compute_response(*place, matrix=responses)
+    field = np.ascontiguousarray(recording.field[model.used])
+    blocks = _kernels.apply_taps(field, model.chain.first, model.chain.weights)[:, :n_blocks]
+    left = whiten @ (blocks.reshape(-1) - signal)
     # degrees of freedom that the fit has used
     taken = np.linalg.solve(np.linalg.cholesky(fit.normal), (whiten @ jacobian).T)
     found, expected = np.zeros(len(model.used)), np.zeros(len(model.used))

@@ -89,8 +89,8 @@ class NoiseLevels:
             gradient -= np.eye(3) * np.trace(gradient) / 3.0
             gradient *= np.sqrt(3.0) * self.mains_gradient / np.linalg.norm(gradient)
             first, second = np.exp(2j * np.pi * rng.random(2))
-            heard = first * direction + second * (sensors.positions @ gradient)
-            out[k] = size * np.einsum("ij,ij->i", sensors.responses, heard)
+            fields = first * direction + second * (sensors.positions @ gradient)
+            out[k] = size * np.einsum("ij,ij->i", sensors.responses, fields)
         return out
 
     def sample_room_model(self, sensors: SensorArray, seed: int, top: float = 5000.0) -> NoiseModel:

@@ -74,7 +74,7 @@ class Spectra(NamedTuple):
 
 
 def learn_spectra(quiet: Sequence[Recording]) -> Spectra:
-    """Learn lines and smooth spectrum from recordings that were checked already.
+    """Learn lines and smooth spectrum from recordings that have been checked.
 
     Parameters
     ----------

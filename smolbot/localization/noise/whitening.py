@@ -112,9 +112,9 @@ def make_whitened_model(
     -------
     LinearModel
     """
-    rhythm = _make_reference_device(device.frequency, device.damping, device.damping_model)
+    reference = _make_reference_device(device.frequency, device.damping, device.damping_model)
     common = make_common_model(
-        sensors.bandwidth, rhythm, noise, usable, n_samples, sample_rate, since, trend, transients
+        sensors.bandwidth, reference, noise, usable, n_samples, sample_rate, since, trend, transients
     )
     used = common.used
     return replace(
@@ -128,7 +128,7 @@ def make_whitened_model(
 
 @lru_cache(maxsize=64)
 def _make_reference_device(frequency: float, damping: float, damping_model: DampingModel) -> Device:
-    """Make one device that stands for all with the same frequency and damping."""
+    """Make one device that represents all with the same frequency and damping."""
     return Device(1.0, np.array([0.0, 0.0, 1.0]), 0.0, 1.0, frequency, damping, damping_model)
 
 
@@ -187,8 +187,8 @@ def make_common_model(
     constants = np.linalg.qr(whiten @ np.kron(np.eye(n_channels), free))[0]
     functions, changes = time_functions.compute_functions_and_slopes(device, chain, sample_rate, since, bandwidth)
     by_channel = whiten.reshape(-1, n_channels, n_blocks)
-    answers = np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True)
-    flat = answers.reshape(len(answers), -1)
+    responses = np.einsum("mjt,ft->mfj", by_channel, functions, optimize=True)
+    flat = responses.reshape(len(responses), -1)
     flat -= constants @ (constants.T @ flat)
     # directions that a signal can take, weighted by the possible strength of each power of the deflection
     powers = time_functions.list_labels()[:, 0]
@@ -267,9 +267,9 @@ def prepare_whitened(
             f"{500.0 / device.frequency:.2f} ms, and at least one is needed."
         )
     since = round(recording.time_since_drive, CLOCK_DIGITS)
-    heard = tuple(tau for tau in transients if since < NEGLIGIBLE_AFTER * tau)
+    measurable = tuple(tau for tau in transients if since < NEGLIGIBLE_AFTER * tau)
     model = make_whitened_model(
-        sensors, device, noise, usable.tobytes(), n_samples, recording.sample_rate, since, trend, heard
+        sensors, device, noise, usable.tobytes(), n_samples, recording.sample_rate, since, trend, measurable
     )
     field = recording.field if usable.all() else np.ascontiguousarray(recording.field[usable])
     return Problem(model, model.compute_data_vector(field))

@@ -25,7 +25,7 @@ from smolbot.paths.polylines import (
 )
 
 MEETING_DISTANCE, MERGE_DISTANCE = 0.8, 0.3
-"""Distances, in units of the font's grid: an end this near to another stroke meets it; points this near are one."""
+"""Distances, in units of the font's grid: an end this near to another stroke meets it; points this near coincide."""
 
 MAX_SMOOTH_TURN = np.radians(12.0)
 """Turn, in rad, up to which a route goes straight on from one stroke to another."""
@@ -34,7 +34,7 @@ MAX_SEARCH_STEPS = 20_000
 """Steps of the search for the trail with the least turning."""
 
 LEAVING = 0.5
-"""Length of a stroke's end, in units of the grid, that gives the direction in which it leaves."""
+"""Length of a stroke's end, in units of the grid, that gives its direction there."""
 
 INNER_PENALTY = 0.1
 """Length, in units of the grid, by which a bridge to the middle of a stroke counts longer than one to an end."""
@@ -58,7 +58,7 @@ class Route:
     pieces : tuple of ndarray, each (n, 2)
         Smooth curves, one after another; corners lie between them.
     retraced : tuple of ndarray
-        Pieces that are drawn a second time.
+        Pieces that are drawn twice.
     bridges : tuple of ndarray, each (2, 2)
         Straight lines across gaps between parts that do not touch, such as that from the dot of an i to its stem.
     """
@@ -81,7 +81,7 @@ class _Edge:
         return float(compute_arc_lengths(self.points)[-1])
 
     def compute_exit_direction(self, from_a: bool) -> FloatArray:
-        """Return the direction, a unit vector, in which the edge leaves one of its ends."""
+        """Compute the direction (unit vector) of the edge at one of its ends, away from that end."""
         points = self.points if from_a else self.points[::-1]
         way = interpolate_polyline(points, min(LEAVING, 0.5 * self.length)) - points[0]
         return way / np.linalg.norm(way)
@@ -275,7 +275,7 @@ def _find_trail(net: _StrokeGraph) -> list[tuple[int, bool]]:
     used = [False] * len(net.edges)
     trail: list[tuple[int, bool]] = []
 
-    def go_on(node: int, cost: float) -> None:
+    def extend_trail(node: int, cost: float) -> None:
         nonlocal best, least, tries
         tries += 1
         if len(trail) == len(net.edges):
@@ -288,13 +288,13 @@ def _find_trail(net: _StrokeGraph) -> list[tuple[int, bool]]:
             edge = net.edges[k]
             used[k] = True
             trail.append((k, forward))
-            go_on(edge.b if forward else edge.a, cost + turn)
+            extend_trail(edge.b if forward else edge.a, cost + turn)
             trail.pop()
             used[k] = False
 
     for start in starts:
         x, y = net.nodes[start]
-        go_on(start, float(WRITING_ORDER * (x - y) / size))
+        extend_trail(start, float(WRITING_ORDER * (x - y) / size))
     return best
 
 

@@ -1,4 +1,4 @@
-"""A path from an SVG drawing: one element, drawn without lifting the pen, in mm with y up."""
+"""A path from an SVG drawing: one element, drawn without lifting the pen, in mm, y up."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FEWEST = 3
 """Smallest number of halvings: the ends of a symmetric curve do not show its turn."""
 
 MERGED = 1e-6
-"""Distance, in mm, below which two points are one."""
+"""Distance, in mm, below which two points coincide."""
 
 NO_SIZE = 1e-9
 """Width or height, in mm, that is rounding."""
@@ -91,9 +91,9 @@ def read_svg(path: Path, element: str | None, width: float | None, height: float
     size = np.ptp(rough, axis=0)
     scale = _compute_scale(size, width, height, f"{path}: {name}")
     points = [_sample_chords(segment, MAX_CHORD_ERROR / float(np.max(scale))) for segment in segments]
-    whole = np.vstack([points[0], *(chords[1:] for chords in points[1:])]) * scale
-    new = np.concatenate([[True], np.linalg.norm(np.diff(whole, axis=0), axis=1) > MERGED])
-    return whole[new] - 0.5 * (whole.min(axis=0) + whole.max(axis=0))
+    outline = np.vstack([points[0], *(chords[1:] for chords in points[1:])]) * scale
+    new = np.concatenate([[True], np.linalg.norm(np.diff(outline, axis=0), axis=1) > MERGED])
+    return outline[new] - 0.5 * (outline.min(axis=0) + outline.max(axis=0))
 
 
 def _find_shape(path: Path, drawing: Any, element: str | None) -> tuple[Any, str]:
@@ -148,21 +148,21 @@ def _list_segments(shape: Any, where: str) -> list[Any]:
     fault = _find_data_fault(shape.values.get("d") or "")
     if fault:
         raise InputError(f"{where}: broken path data: {fault}.")
-    drawn: list[Any] = []
+    segments: list[Any] = []
     for segment in svgelements.Path(shape):
         if isinstance(segment, svgelements.Move):
-            lifted = drawn and abs(segment.end - drawn[-1].end) * MM_PER_PIXEL > MAX_PEN_GAP
-            if lifted:
-                a, b = drawn[-1].end, segment.end
+            if segments and abs(segment.end - segments[-1].end) * MM_PER_PIXEL > MAX_PEN_GAP:
+                ends = (p * MM_PER_PIXEL for p in (segments[-1].end, segment.end))
+                last, first = (f"({p.x:.2f}, {p.y:.2f}) mm" for p in ends)
                 raise InputError(
-                    f"{where}: the line ends at ({a.x * MM_PER_PIXEL:.2f}, {a.y * MM_PER_PIXEL:.2f}) mm of the page and starts again at "
-                    f"({b.x * MM_PER_PIXEL:.2f}, {b.y * MM_PER_PIXEL:.2f}) mm; a robot cannot jump. Draw one line without a gap."
+                    f"{where}: the line ends at {last} of the page and starts again at {first}; a robot cannot "
+                    "jump. Draw one line without a gap."
                 )
         elif segment.start is not None and segment.end is not None and segment.length(error=LENGTH_ERROR) > 0.0:
-            drawn.append(segment)
-    if not drawn:
+            segments.append(segment)
+    if not segments:
         raise InputError(f"{where}: has no length.")
-    return drawn
+    return segments
 
 
 def _find_data_fault(data: str) -> str | None:
@@ -200,11 +200,11 @@ def _find_data_fault(data: str) -> str | None:
 
 
 def _compute_scale(size: FloatArray, width: float | None, height: float | None, where: str) -> FloatArray:
-    wanted = (width, height)
-    for have, want, what in zip(size, wanted, ("width", "height"), strict=True):
-        if want is not None and have < NO_SIZE:
-            raise InputError(f"{where}: has no {what}, and cannot be scaled to {want:g} mm; leave out {what}_mm.")
-    ratios = [None if want is None else want / have for have, want in zip(size, wanted, strict=True)]
+    requested = (width, height)
+    for present, goal, what in zip(size, requested, ("width", "height"), strict=True):
+        if goal is not None and present < NO_SIZE:
+            raise InputError(f"{where}: has no {what}, and cannot be scaled to {goal:g} mm; leave out {what}_mm.")
+    ratios = [None if goal is None else goal / present for present, goal in zip(size, requested, strict=True)]
     given = [r for r in ratios if r is not None]
     return np.array([r if r is not None else (given[0] if given else 1.0) for r in ratios])
 

@@ -2,8 +2,8 @@
 
 Camera and rig have no common clock. Both displacements are compared over all time shifts; the best shift is that of
 the greatest likelihood, refined below the frame interval. Poses and camera may differ by a constant offset,
-`OFFSET_SIGMA`: for a robot that moves straight at constant speed, a time shift and an offset look the same, and only the
-assumed size of that offset separates them.
+`OFFSET_SIGMA`: for a robot that moves straight at constant speed, a time shift and an offset look the same, and only
+the assumed size of that offset separates them.
 """
 
 from __future__ import annotations

@@ -120,8 +120,8 @@ def analyse(track: OpticalTrack, run: RunPoses, alignment: Alignment, *, plane_k
     turned = run.headings[known]
     near = headings[known] + np.angle(np.exp(1j * (turned - headings[known])))
     return PathAnalysis(
-        run.times[known], poses, places[known], near, headings[known], _compute_path_distance(poses, seen.positions), plane_known,
-        run.tracked[known],
+        run.times[known], poses, places[known], near, headings[known], _compute_path_distance(poses, seen.positions),
+        plane_known, run.tracked[known],
     )  # fmt: skip
 
 

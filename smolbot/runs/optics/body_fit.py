@@ -170,9 +170,9 @@ def fit_outline(
 def compute_color_weights(body_color: FloatArray, background_color: FloatArray) -> FloatArray:
     """Compute the weights of the colours that detect a body best against the usual disturbances.
 
-    The disturbances are noise, `COLOR_NOISE` in each colour, and a relative change `LIGHT_VARIATION` of the background's
-    brightness: shadows, a meniscus, the reflection of a lamp. Both colour and brightness are used, each as far as
-    it separates body and disturbances.
+    The disturbances are noise, `COLOR_NOISE` in each colour, and a relative change `LIGHT_VARIATION` of the
+    background's brightness: shadows, a meniscus, the reflection of a lamp. Both colour and brightness are used, each
+    as far as it separates body and disturbances.
 
     Parameters
     ----------

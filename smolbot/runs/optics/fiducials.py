@@ -179,8 +179,9 @@ def find_view_by_markers(picture: Any, file: FiducialsFile, camera_height: float
         others = sorted(set(seen) - set(wanted))
         also = f", but {', '.join(map(str, others))} that the file does not name" if others else ""
         raise InputError(
-            f"found {len(here)} of {len(wanted)} markers (ArUco {section.dictionary}; wanted {_format_ids(wanted)}){also}. "
-            f"{MIN_MARKERS} or more are needed: are they in the picture, sharp, with a white border, and of that dictionary?"
+            f"found {len(here)} of {len(wanted)} markers (ArUco {section.dictionary}; wanted {_format_ids(wanted)})"
+            f"{also}. {MIN_MARKERS} or more are needed: "
+            "are they in the picture, sharp, with a white border, and of that dictionary?"
         )
     pixels = np.vstack([seen[i] for i in here])
     points = np.vstack([compute_corners(section, wanted[i]) for i in here])

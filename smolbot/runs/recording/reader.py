@@ -72,7 +72,7 @@ class RecordedRun(Readable):
     path : Path
         The record.
     begin : Begin message
-    played : list of Played
+    played : list of PlayedShot
         Every shot, including those from which noise and coil decay were learned.
     moments : list of Moment
         Every cycle, with the ground truth where it was known.
@@ -81,15 +81,15 @@ class RecordedRun(Readable):
     events : list of Event
     end : End message, or None
         None if the record was cut short.
-    complete : bool
+    whole : bool
         False if the file was not finished.
     dropped : int
         Number of messages that the recorder could not take.
     messages : int
         Number of messages that were read.
-    messages_without_topic : int
+    nameless : int
         Number of messages that were read, but whose topic is lost.
-    lost_bytes : int
+    lost : int
         Bytes of the file that cannot be read.
     recovered : Recovered message, or None
         Present if ``smolbot recover`` rewrote this record.
@@ -250,6 +250,15 @@ def read_run(run: str | Path) -> RecordedRun:
     """Read the record of a run, given by its folder or by the file itself.
 
     A record that was cut short or damaged gives what is in it; `whole` is False then.
+
+    Parameters
+    ----------
+    run : str or Path
+        Run folder, or its record.
+
+    Returns
+    -------
+    RecordedRun
 
     Raises
     ------

@@ -147,7 +147,19 @@ def _build_runs_section(found: Comparison) -> Section:
 
 
 def format_estimate(estimate: Estimate | None, unit: str, *, signed: bool = False) -> str:
-    """An estimate with its interval and unit, for people."""
+    """Format an estimate with its interval and unit.
+
+    Parameters
+    ----------
+    estimate : Estimate, or None
+    unit : str
+    signed : bool
+        A difference: its sign is shown, and a star marks an interval without zero.
+
+    Returns
+    -------
+    str
+    """
     if estimate is None:
         return "-"
     plus = "+" if signed and estimate.value > 0 else ""

@@ -176,7 +176,18 @@ def _add_pose_budget(section: Section, flight: RecordedFlight) -> Section:
 
 
 def compute_pose_budget(pairs: list[tuple[Any, Any]]) -> dict[str, float] | None:
-    """Mean squares, in m², of poses against truths: ``total``, ``bias``, ``predicted``, ``rest``; None without any."""
+    """Split the mean squared position error into bias, predicted variance and rest.
+
+    Parameters
+    ----------
+    pairs : list of tuple of Pose
+        Each pose with its ground truth.
+
+    Returns
+    -------
+    dict of str to float, in m², or None
+        Mean squares: ``total``, ``bias``, ``predicted`` (by the covariances), ``rest``; None without pairs.
+    """
     if not pairs:
         return None
     errors = np.array([pose.position - truth.position for pose, truth in pairs])

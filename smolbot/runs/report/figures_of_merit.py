@@ -131,7 +131,18 @@ def get_unit(key: str) -> str:
 
 
 def append_unit(shown: str, unit: str) -> str:
-    """A number with its unit behind it.
+    """Append the unit to a number.
+
+    Parameters
+    ----------
+    shown : str
+        The number.
+    unit : str
+        Empty if it has none.
+
+    Returns
+    -------
+    str
 
     Examples
     --------

@@ -108,11 +108,12 @@ def _describe_warning(flight: RecordedFlight) -> str:
 
 def _build_lead(flight: RecordedFlight) -> list[str]:
     s, mission = flight.summary, flight.mission
-    told = mission.base.description
+    description = mission.base.description
+    setup = f"{mission.robot.name} on {mission.rig.name}{format_label(s)}, seed {flight.seed}"
     ended = f"{s['status']}: {s['stop_reason']}" if s["stop_reason"] else s["status"]
     return [
-        *([told] if told else []),
-        f"{mission.robot.name} on {mission.rig.name}{format_label(s)}, seed {flight.seed}. {ended[0].upper()}{ended[1:]}.",
+        *([description] if description else []),
+        f"{setup}. {ended[0].upper()}{ended[1:]}.",
     ]
 
 

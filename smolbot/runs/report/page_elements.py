@@ -53,11 +53,35 @@ class Section:
         return self
 
     def add_figure(self, svg: Markup, caption: str) -> Section:
-        """Append a figure and how to read it."""
+        """Append a figure with its caption.
+
+        Parameters
+        ----------
+        svg : Markup
+        caption : str
+            How to read the figure.
+
+        Returns
+        -------
+        Section
+            The same section.
+        """
         return self.add(ELEMENTS.figure(svg, caption))
 
     def add_paragraph(self, line: str, kind: str = "") -> Section:
-        """Append a paragraph."""
+        """Append a paragraph.
+
+        Parameters
+        ----------
+        line : str
+        kind : str
+            Class of the style sheet.
+
+        Returns
+        -------
+        Section
+            The same section.
+        """
         return self.add(ELEMENTS.paragraph(line, kind))
 
     def add_missing_note(self, why: str) -> Section:

@@ -17,7 +17,17 @@ Flat = dict[str, str]
 
 
 def collect_settings(flight: RecordedFlight) -> Flat:
-    """Dotted names and values, as text, of all that a run was told; of files that it names, what they hold."""
+    """Collect all settings of a run.
+
+    Parameters
+    ----------
+    flight : RecordedFlight
+
+    Returns
+    -------
+    dict of str to str
+        Values as text, by dotted name; for a file that is named, its content.
+    """
     found: Flat = {}
     for name, prefix in ((MISSION, "mission"), (RIG, "rig"), (ROBOT, "robot")):
         found |= flatten(tomllib.loads(flight.record.begin.files[name].decode()), prefix)

@@ -28,7 +28,19 @@ MAX_FREQUENCY = 2000.0
 
 
 def draw_fit_figure(flight: RecordedFlight, windows: list[FittedWindow], lines: FloatArray) -> Figure:
-    """R² over the run, one window with its model, and the spectrum of the fit residuals, against quiet windows."""
+    """Draw R² over the run, one window with its model, and the spectrum of residuals and of background noise.
+
+    Parameters
+    ----------
+    flight : RecordedFlight
+    windows : list of FittedWindow
+    lines : ndarray, shape (n,), in Hz
+        Frequencies to mark in the spectrum.
+
+    Returns
+    -------
+    Figure
+    """
     figure = make_wide_figure(6.4)
     panels: Any = figure.subplot_mosaic([["r", "window"], ["spectrum", "spectrum"]], height_ratios=[1.0, 1.1])
     _draw_r_squared(panels["r"], flight)
@@ -53,8 +65,8 @@ def draw_noise_figure(noise: BackgroundSpectrum) -> Figure:
     shown = noise.frequencies <= MAX_FREQUENCY
     thinned = _choose_edges(noise.frequencies[shown])
     for index, channel in enumerate(noise.density[:, shown]):
-        axes.plot(noise.frequencies[shown][thinned], 1e12 * _find_highest(channel, thinned), color=COILS[index % len(COILS)],
-                  lw=0.7, alpha=0.75, label=f"{index}")  # fmt: skip
+        axes.plot(noise.frequencies[shown][thinned], 1e12 * _find_highest(channel, thinned),
+                  color=COILS[index % len(COILS)], lw=0.7, alpha=0.75, label=f"{index}")  # fmt: skip
     axes.set_xscale("log")
     axes.set_yscale("log")
     _mark_lines(axes, noise.line_frequencies)

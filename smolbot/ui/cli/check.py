@@ -224,9 +224,11 @@ def _make_sensor_table(found: Checkup) -> Table:
         )  # fmt: skip
     e = found.expected
     limits = (
-        "limit", f"±{1e9 * checkup.MAX_OFFSET_SHARE * e.range:.0f}", "", f"{1e12 * checkup.MAX_SLOW_RATIO * e.slow:.0f}",
+        "limit", f"±{1e9 * checkup.MAX_OFFSET_SHARE * e.range:.0f}", "",
+        f"{1e12 * checkup.MAX_SLOW_RATIO * e.slow:.0f}",
         f"{1e12 * checkup.MAX_FLOOR_RATIO * e.floor:.1f}", f"{1e9 * checkup.MAX_MAINS_RATIO * e.mains:.0f}",
-        f"{1e9 * checkup.MAX_MAINS_RATIO * e.harmonics:.1f}", f"1 ± {response_match.SENSOR_GAIN_TOLERANCE:g}*" if found.coils else "", "",
+        f"{1e9 * checkup.MAX_MAINS_RATIO * e.harmonics:.1f}",
+        f"1 ± {response_match.SENSOR_GAIN_TOLERANCE:g}*" if found.coils else "", "",
     )  # fmt: skip
     grid.add_section()
     grid.add_row(*(Text(limit, "dim") for limit in limits))

@@ -122,7 +122,17 @@ def echo_json(data: Any) -> None:
 
 
 def print_columns(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], *, err: bool = False) -> None:
-    """A table with a header, the first column for names; on standard error where standard output is kept for JSON."""
+    """Print a table with a header.
+
+    Parameters
+    ----------
+    title : str
+    header : sequence of str
+    rows : sequence of sequence of str
+        The first column has the names.
+    err : bool
+        Print on standard error, because standard output is for JSON.
+    """
     from rich.table import Table
     from rich.text import Text
 

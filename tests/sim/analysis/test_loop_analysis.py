@@ -50,7 +50,11 @@ def test_margins_of_an_integrator_are_those_of_the_closed_form(gain):
 @pytest.mark.parametrize("late", [1, 2, 5])
 def test_an_integrator_with_late_poses_rings_at_the_known_gain(late):
     limit = 2.0 * math.sin(math.pi / (2.0 * (2 * late + 1)))  # z^d (z - 1) + K has a root at |z| = 1
-    assert integrator(0.99 * limit).radius(late=late) < 1.0 < integrator(1.01 * limit).radius(late=late)
+    assert (
+        integrator(0.99 * limit).compute_spectral_radius(late=late)
+        < 1.0
+        < integrator(1.01 * limit).compute_spectral_radius(late=late)
+    )
     assert compute_margins(integrator(0.99 * limit)).late == late
     assert compute_margins(integrator(1.01 * limit)).late == late - 1
 
@@ -72,7 +76,7 @@ def test_margins_agree_with_python_control(gain, kalman):
     assert found.delay * loop.period == pytest.approx(math.radians(phases[0]) / crossings[0], rel=1e-3)
     assert found.disc == pytest.approx(disc, rel=1e-3)
     response = control.initial_response(loop.to_state_space(), np.arange(30) * loop.period, [1.0, 0.0])
-    assert np.allclose(loop.step(29)[:, 0], np.ravel(response.outputs))
+    assert np.allclose(loop.simulate_step(29)[:, 0], np.ravel(response.outputs))
 
 
 def test_of_two_loops_side_by_side_the_tighter_one_counts():
@@ -101,7 +105,9 @@ def test_the_gain_of_a_law_that_saturates_is_that_of_a_noisy_input():
     # statistical linearisation of a limiter: y = clip(x, -a, a) at x ~ N(0, s^2) has the gain erf(a / (s sqrt 2))
     limit, sigma = 4e-5, np.array([5e-5, 0.02])
     law = SimpleNamespace(command=lambda pose: SimpleNamespace(window=-float(np.clip(pose.position[1], -limit, limit))))
-    model = SimpleNamespace(copied=lambda law: law, motion=lambda state, window: (np.array([0.0, window]), 0.0))
+    model = SimpleNamespace(
+        copy_controller=lambda law: law, compute_motion=lambda state, window: (np.array([0.0, window]), 0.0)
+    )
     pose = Pose(0.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros((6, 6)))
     state = State(np.zeros(3), 0.0)
     feedback, explained = fit_feedback(model, law, pose, state, np.array([0.0, 1.0]), sigma, 200)
@@ -135,12 +141,12 @@ def straight(law: str = "force_pursuit") -> Model:
 @cache
 def cycles():
     model = straight()
-    flown = [i for i in simulate_flight(model, model.controller()) if i.tracker is not None and not i.command.done]
+    flown = [i for i in simulate_flight(model, model.make_controller()) if i.tracker is not None and not i.command.done]
     return [linearize_cycle(model, i) for i in flown if i.command.phase == "follow"]
 
 
 def loops(first: int, last: int, step: int = 5) -> list[SampledLoop]:
-    return [SampledLoop.of(average_cycles(cycles(), k, 4)) for k in range(first, last, step)]
+    return [SampledLoop.from_cycle(average_cycles(cycles(), k, 4)) for k in range(first, last, step)]
 
 
 def test_the_gain_of_the_tracker_is_the_steady_one_of_an_independent_riccati_equation():
@@ -158,11 +164,11 @@ def test_the_gain_of_the_tracker_is_the_steady_one_of_an_independent_riccati_equ
         shot = Shot(model.listening, "track", clock)
         clock = shot.end
         before = model.copy_tracker(tracker)
-        heard = Pose(shot.end, state.position, state.orientation(), np.diag(spread**2))
+        heard = Pose(shot.end, state.position, state.compute_orientation(), np.diag(spread**2))
         tracker.update(shot, heard)
     from sim.analysis.linear import _differentiate_tracker
 
-    instant = SimpleNamespace(tracker=before, shot=shot, heard=heard)
+    instant = SimpleNamespace(tracker=before, shot=shot, measured=heard)
     found = _differentiate_tracker(model, instant, np.array([0.0, 1.0]), np.array([5e-5, 0.01]))
     t = shot.duration
     f, h = np.array([[1.0, t], [0.0, 1.0]]), np.array([[1.0, 0.0]])
@@ -177,17 +183,17 @@ def test_the_gain_of_the_tracker_is_the_steady_one_of_an_independent_riccati_equ
 
 
 @pytest.mark.parametrize("late", [0, 2])
-def test_the_linear_loop_rings_where_its_margin_says(late):
+def test_the_linear_loop_rings_at_its_margin(late):
     loop = loops(30, 31)[0]
-    found = next(g for g in np.geomspace(1.0, 30.0, 400) if loop.radius(g, late) > 1.0 + 1e-6)
+    found = next(g for g in np.geomspace(1.0, 30.0, 400) if loop.compute_spectral_radius(g, late) > 1.0 + 1e-6)
     if late == 0:
         assert found == pytest.approx(compute_margins(loop).gain, rel=0.02)
     for factor, grows in ((0.95, False), (1.05, True)):
-        state = np.zeros(len(loop.closed(late=late)))
+        state = np.zeros(len(loop.close_loop(late=late)))
         state[0] = 1.0
         sizes = []
         for _ in range(400):
-            state = loop.closed(factor * found, late) @ state
+            state = loop.close_loop(factor * found, late) @ state
             sizes.append(abs(state[0]))
         assert bool(max(sizes[-40:]) > max(sizes[:40])) == grows
 
@@ -203,7 +209,12 @@ def deviates(model: Model, gain: float, late: int, kick: float = 5e-5, first: in
 
     try:
         for instant in simulate_flight(
-            model, model.controller(), delay_cycles=late, measure=seen, keep=lambda cycle: False, max_cycles=last + 5
+            model,
+            model.make_controller(),
+            delay_cycles=late,
+            measure=seen,
+            keep=lambda cycle: False,
+            max_cycles=last + 5,
         ):
             off.append(abs(float(instant.state.position[1])))
     except InputError:  # it has left the table
@@ -212,10 +223,10 @@ def deviates(model: Model, gain: float, late: int, kick: float = 5e-5, first: in
 
 
 @pytest.mark.parametrize("late", [0, 1, 2])
-def test_a_flight_with_the_true_law_and_tracker_rings_where_the_linear_loop_says(late):
+def test_a_flight_with_the_true_law_and_tracker_rings_where_the_linear_loop_predicts(late):
     # the loop changes along the line: its limit lies between those of the places flown over, a quarter allowed
     def limit(loop: SampledLoop) -> float:
-        return next(g for g in np.geomspace(1.0, 40.0, 400) if loop.radius(g, late) > 1.0 + 1e-6)
+        return next(g for g in np.geomspace(1.0, 40.0, 400) if loop.compute_spectral_radius(g, late) > 1.0 + 1e-6)
 
     found = [limit(loop) for loop in loops(20, 76)]
     model = straight()
@@ -224,9 +235,12 @@ def test_a_flight_with_the_true_law_and_tracker_rings_where_the_linear_loop_says
 
 
 @pytest.mark.parametrize("gain", [3.5, 4.0])
-def test_a_flight_bears_poses_as_late_as_the_linear_loop_says(gain):
+def test_a_flight_tolerates_poses_as_late_as_the_linear_loop_predicts(gain):
     # found at 2 cycles and predicted at 1 to 2: one cycle allowed
-    found = [next(late for late in range(20) if loop.radius(gain, late) > 1.0 + 1e-6) for loop in loops(20, 76)]
+    found = [
+        next(late for late in range(20) if loop.compute_spectral_radius(gain, late) > 1.0 + 1e-6)
+        for loop in loops(20, 76)
+    ]
     assert 1 <= min(found) <= max(found) <= 3
     assert deviates(straight(), gain, max(min(found) - 1, 0)) < 0.5
     assert deviates(straight(), gain, max(found) + 1) > 1.0
@@ -237,10 +251,10 @@ def test_a_robot_hunts_where_the_loop_does_not_hold():
     """Poses err as the loop was probed with; it keeps to the path in the firm half and turns about where it is not."""
     model = Model(load_steering_mission("r_path", None, {"controller.law": "force_pursuit"}))
     flown = [
-        i for i in simulate_flight(model, model.controller()) if i.command.phase == "follow" and not i.command.done
+        i for i in simulate_flight(model, model.make_controller()) if i.command.phase == "follow" and not i.command.done
     ]
     every = [linearize_cycle(model, i) for i in flown]
-    found = [compute_margins(SampledLoop.of(average_cycles(every, k, 4))) for k in range(len(every))]
+    found = [compute_margins(SampledLoop.from_cycle(average_cycles(every, k, 4))) for k in range(len(every))]
     loose = np.array([c.arc for c, m in zip(every, found, strict=True) if m.disc < 0.1])
     firm = np.array([c.arc for c, m in zip(every, found, strict=True) if m.disc > 0.6])
     rng = np.random.default_rng(1)
@@ -251,7 +265,7 @@ def test_a_robot_hunts_where_the_loop_does_not_hold():
 
     noisy = [
         (i.command.progress, i.state.heading)
-        for i in simulate_flight(model, model.controller(), measure=seen, keep=lambda c: False)
+        for i in simulate_flight(model, model.make_controller(), measure=seen, keep=lambda c: False)
     ]
     arcs, headings = np.array(noisy).T
     turns = np.abs(np.diff(np.unwrap(headings)))
@@ -277,9 +291,11 @@ def test_a_mission_without_a_law_or_with_another_robot_has_no_loop():
 
 def test_probing_leaves_law_and_tracker_as_they_were():
     model = straight("predictive")
-    plain = [i.command.window for i in simulate_flight(model, model.controller(), keep=lambda c: False, max_cycles=12)]
+    plain = [
+        i.command.window for i in simulate_flight(model, model.make_controller(), keep=lambda c: False, max_cycles=12)
+    ]
     watched = []
-    for instant in simulate_flight(model, model.controller(), max_cycles=12):
+    for instant in simulate_flight(model, model.make_controller(), max_cycles=12):
         if instant.tracker is not None:
             linearize_cycle(model, instant, pairs=2)
         watched.append(instant.command.window)

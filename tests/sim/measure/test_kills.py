@@ -19,7 +19,7 @@ def test_what_was_flushed_before_a_kill_is_there_and_true(tmp_path, phase, delay
 
 
 @pytest.mark.slow
-def test_of_fifty_killed_missions_each_is_recovered_and_misses_half_a_second_at_most(tmp_path):
+def test_of_fifty_killed_missions_each_is_recovered_and_lacks_half_a_second_at_most(tmp_path):
     outcomes = list(kill_all(50, 1, "r_small", {}, tmp_path))
     assert [o for o in outcomes if o.faults or o.late] == []
     assert {o.phase for o in outcomes} == set(PHASES)

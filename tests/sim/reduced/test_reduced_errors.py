@@ -56,7 +56,7 @@ def error_of(fitted, truth):
 
 @pytest.mark.parametrize("half_periods", [2, 6])
 @pytest.mark.parametrize("estimator", ["whitened", "paper"])
-def test_sensors_and_magnets_that_are_off_move_a_pose_as_they_move_a_fit(
+def test_wrong_sensors_and_magnets_move_a_synthetic_pose_as_they_move_a_fit(
     estimator, half_periods, array, along_device, pose_at, line, room
 ):
     truth = pose_at(*PLACE)
@@ -67,7 +67,7 @@ def test_sensors_and_magnets_that_are_off_move_a_pose_as_they_move_a_fit(
     field = compute_sensor_field(sensors, device, truth.position, truth.orientation, theta)
     fit, swing = localizer.locate_swing(Recording(field, RATE, SINCE), truth)
     errors = FitErrors(localizer, line.rig, heard_by(sensors, device, room), Silence())
-    drawn = errors.draw(truth.position, truth.orientation, AMPLITUDE, half_periods, SINCE)
+    drawn = errors.sample(truth.position, truth.orientation, AMPLITUDE, half_periods, SINCE)
     expected = np.concatenate(
         [fit.position - truth.position, compute_rotation_error(fit.orientation, truth.orientation)]
     )
@@ -86,7 +86,7 @@ def test_poses_scatter_as_their_covariance_claims(array, along_device, pose_at, 
     errors = FitErrors(
         Localizer(array, along_device), line.rig, heard_by(array, along_device, room), np.random.default_rng(5)
     )
-    drawn = [errors.draw(truth.position, truth.orientation, AMPLITUDE, 2, SINCE) for _ in range(4000)]
+    drawn = [errors.sample(truth.position, truth.orientation, AMPLITUDE, 2, SINCE) for _ in range(4000)]
     found = np.array([[*error_of(d, truth), d.amplitude - AMPLITUDE] for d in drawn])
     claimed = np.mean([d.covariance for d in drawn], axis=0)
     scatter = np.cov(found.T)
@@ -104,7 +104,7 @@ def test_poses_of_the_papers_estimator_scatter_as_expected_of_it(array, along_de
         Localizer(array, along_device, estimator="paper"), line.rig, heard_by(array, along_device, room),
         np.random.default_rng(6),
     )  # fmt: skip
-    drawn = [errors.draw(truth.position, truth.orientation, AMPLITUDE, 2, SINCE) for _ in range(3000)]
+    drawn = [errors.sample(truth.position, truth.orientation, AMPLITUDE, 2, SINCE) for _ in range(3000)]
     scatter = np.sqrt(np.var([error_of(d, truth) for d in drawn], axis=0))
     wanted = compute_expected_covariance(
         array, along_device, make_noise_levels(line.rig), truth, 2, RATE, SINCE, AMPLITUDE
@@ -112,14 +112,14 @@ def test_poses_of_the_papers_estimator_scatter_as_expected_of_it(array, along_de
     assert scatter == pytest.approx(np.sqrt(np.diag(wanted)), rel=0.1)
 
 
-def test_a_smaller_swing_is_seen_less_well_and_none_not_at_all(array, along_device, pose_at, line, room):
+def test_a_smaller_swing_is_located_less_well_and_none_not_at_all(array, along_device, pose_at, line, room):
     truth = pose_at(*PLACE)
     errors = FitErrors(
         Localizer(array, along_device), line.rig, heard_by(array, along_device, room), np.random.default_rng(7)
     )
 
     def draw(amplitude):
-        return errors.draw(truth.position, truth.orientation, amplitude, 2, SINCE)
+        return errors.sample(truth.position, truth.orientation, amplitude, 2, SINCE)
 
     sigmas = [np.sqrt(np.median([draw(a).covariance[0, 0] for _ in range(20)])) for a in (0.3, 0.15)]
     assert 1.6 < sigmas[1] / sigmas[0] < 2.4
@@ -140,7 +140,7 @@ def test_doubled_mismatches_double_the_systematic_error(line):
         rig.make_synthetic_localizer(localizer)
         errors = rig._errors
         errors._rng = Silence()
-        fitted = errors.draw(np.array([0.0, 0.0, 0.0596]), np.array([0.5, 0.5, 0.5, 0.5]), AMPLITUDE, 2, SINCE)
+        fitted = errors.sample(np.array([0.0, 0.0, 0.0596]), np.array([0.5, 0.5, 0.5, 0.5]), AMPLITUDE, 2, SINCE)
         return fitted.position - [0.0, 0.0, 0.0596]
 
     ideal, once, twice = bias(0.0), bias(1.0), bias(2.0)

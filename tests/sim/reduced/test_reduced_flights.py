@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim.batch.flights import PlantModel, SimulatedFlight, fly_seeds
+from sim.batch.flights import Flight, PlantModel, fly_seeds
 from sim.batch.flights_picture import format_headline
 from sim.reduced.rig import open_reduced, require_flyable
 from smolbot.config.mission import load_steering_mission
@@ -37,12 +37,12 @@ def told(run):
 
 @pytest.fixture(scope="module")
 def flown(line):
-    return {seed: fly(line, seed, open_rig=open_reduced) for seed in (1, 2)}
+    return {seed: fly(line, seed, opener=open_reduced) for seed in (1, 2)}
 
 
 def test_the_same_seed_is_the_same_flight_whatever_was_flown_before(line, flown):
     for seed in (2, 1):  # the other way round
-        poses, shots, status = told(fly(line, seed, open_rig=open_reduced))
+        poses, shots, status = told(fly(line, seed, opener=open_reduced))
         before = told(flown[seed])
         assert np.array_equal(poses, before[0])
         assert shots == before[1]
@@ -66,7 +66,7 @@ def test_the_number_of_processes_changes_nothing():
 
 
 def test_without_the_witness_poses_and_commands_are_the_same(line, flown):
-    alone = fly(line, 1, open_rig=open_reduced, witness=False)
+    alone = fly(line, 1, opener=open_reduced, witness=False)
     assert np.array_equal(told(alone)[0], told(flown[1])[0])
     assert "tracking_error_mm" not in alone.summary
 
@@ -100,7 +100,7 @@ def test_it_keeps_the_promise_of_a_rig(line):
         rig.play(CYCLE)
 
 
-def test_a_sighting_says_when_it_was_and_carries_no_samples(line):
+def test_a_synthetic_recording_has_its_time_and_no_samples(line):
     rig = open_reduced(line, 1)
     poses = rig.make_synthetic_localizer(Localizer(rig.sensors, line.robot.device))
     heard = rig.play(CYCLE)
@@ -116,7 +116,7 @@ def test_a_sighting_says_when_it_was_and_carries_no_samples(line):
     assert np.array_equal(again.position, pose.position)
 
 
-def test_without_a_prior_either_of_the_two_orientations_that_sound_alike_is_seen_with_one_the_nearer(line):
+def test_without_a_prior_either_ambiguous_orientation_is_found_with_one_the_nearer(line):
     rig = open_reduced(line, 1)
     poses = rig.make_synthetic_localizer(Localizer(rig.sensors, line.robot.device))
     found = []
@@ -132,7 +132,7 @@ def test_without_a_prior_either_of_the_two_orientations_that_sound_alike_is_seen
     assert 3 < sum(found) < 17
 
 
-def test_what_is_hardly_driven_is_not_believed_and_what_is_not_driven_not_seen(line):
+def test_what_is_hardly_driven_is_not_trusted_and_what_is_not_driven_not_located(line):
     rig = open_reduced(line, 1)
     poses = rig.make_synthetic_localizer(Localizer(rig.sensors, line.robot.device))
     faint = rig.play(Shot((Excite((0.01, 0.0), 103.5, 5), RingDown(0.02), Listen(2, 103.5))))
@@ -158,13 +158,13 @@ def test_results_are_labelled_wherever_they_are_shown(flown, line, tmp_path, mon
         assert [row["plant"] for row in csv.DictReader(file)] == ["reduced", "reduced"]
     assert json.loads((tmp_path / "study" / "summary.json").read_text())["plant"] == "reduced"
     assert json.loads((tmp_path / "study" / "provenance.json").read_text())["world"]["plant"] == "reduced"
-    flights = [SimulatedFlight(run.summary, run.true_trail) for run in flown.values()]
+    flights = [Flight(run.summary, run.true_trail) for run in flown.values()]
     assert "reduced plant" in format_headline(line, flights)
     assert "reduced plant" in headline_of_run(line, flown[1])
 
 
-def test_a_run_folder_of_the_reduced_plant_says_so(line, tmp_path):
-    fly(line, 1, open_rig=open_reduced, folder=RunFolder(tmp_path / "run"))
+def test_a_run_folder_of_the_reduced_plant_is_labelled(line, tmp_path):
+    fly(line, 1, opener=open_reduced, folder=RunFolder(tmp_path / "run"))
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["plant"] == "reduced"
     assert json.loads((tmp_path / "run" / "provenance.json").read_text())["world"]["plant"] == "reduced"
 
@@ -175,7 +175,7 @@ def test_ring_down_is_taken_from_the_rig_file_where_there_is_none_to_learn_from(
     short = load_steering_mission(
         "line", settings={"localization.learn_ring_down": "true", "stop.max_duration_s": "2.0"}
     )
-    run = fly(short, 1, open_rig=open_reduced)
+    run = fly(short, 1, opener=open_reduced)
     event = next(e for e in run.events if e.what == "ring-down learned")
     assert event.detail["time_constants_ms"] == pytest.approx([1.0, 1.0])
     windows = run.cycles[-1].shot.windows

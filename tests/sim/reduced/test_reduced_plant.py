@@ -26,7 +26,7 @@ def settings_of(mission):
 
 def commands_of(mission, seed):
     """The windows of a flight, shot by shot, as its controller came to command them."""
-    run = fly(mission, seed, open_rig=open_reduced)
+    run = fly(mission, seed, opener=open_reduced)
     return [(Rest(run.begun),), *[(*c.shot.windows, Rest(mission.rig.turnaround)) for c in run.cycles]]
 
 
@@ -38,7 +38,7 @@ def ways(mission, seed, shots):
         poses = []
         for shot in shots:
             one.advance(shot)
-            poses.append(one.history.at(one.time))
+            poses.append(one.history.interpolate_pose(one.time))
         found.append(np.array(poses))
         assert one.time == pytest.approx(sum(w.duration for shot in shots for w in shot))
     return found
@@ -81,7 +81,7 @@ def test_same_commands_and_seed_lead_along_the_full_tanks_way_within_a_tenth_of_
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [5, 6, 7])
-def test_commands_of_a_whole_letter_still_lead_along_the_full_tanks_way(seed):
+def test_commands_of_a_complete_letter_still_follow_the_full_tanks_path(seed):
     mission = load_steering_mission("r_small")
     full, reduced = ways(mission, seed, commands_of(mission, seed))
     apart = np.linalg.norm(full[:, :3] - reduced[:, :3], axis=1)
@@ -108,7 +108,7 @@ def test_other_seeds_and_doubled_mismatches_lead_elsewhere(line):
         plant = ReducedPlant(line.rig, line.robot, settings, np.zeros(2), seed)
         for shot in shots:
             plant.advance(shot)
-        return plant.history.at(plant.time)[:2]
+        return plant.history.interpolate_pose(plant.time)[:2]
 
     ideal, once, twice = (end(3, scale) for scale in (0.0, 1.0, 2.0))
     off, doubled = np.linalg.norm(once - ideal), np.linalg.norm(twice - ideal)
@@ -121,13 +121,13 @@ def test_the_way_does_not_depend_on_how_a_rest_is_divided(line):
     def end(rests):
         plant = ReducedPlant(line.rig, line.robot, settings_of(line), np.zeros(2), 2)
         plant.advance((Actuate((8.0, 0.0, 0.0, 0.0), 0.05), *rests))
-        return plant.history.at(plant.time)
+        return plant.history.interpolate_pose(plant.time)
 
     whole, parts = end([Rest(0.2)]), end([Rest(0.05), Listen(2, 103.5), Rest(0.15 - 1 / 103.5)])
     assert np.linalg.norm(whole[:3] - parts[:3]) < 1e-6
 
 
-def test_field_of_the_plane_is_that_of_the_drawn_coils_near_it(line):
+def test_field_of_the_plane_is_that_of_the_sampled_coils_near_it(line):
     tank = Tank(line.rig, line.robot, settings_of(line), np.array(line.start), 7)
     coils: TankCoils = tank.coils
     height = tank.carrier.hull.float_height

@@ -57,10 +57,10 @@ def true_noise_model(bench, top=2500.0, spacing=0.5):
     [make_characterised_device(), make_optimised_device(), in_glycerol()],
     ids=["solid", "optimised", "glycerol"],
 )
-def test_an_ideal_silent_bench_hears_what_the_forward_model_says(device):
+def test_an_ideal_noiseless_bench_measures_what_the_forward_model_predicts(device):
     settings = {"sensors.bandwidth_hz": "1e9"}
     ours = bench(device=device, settings=settings)
-    n = ours.samples(2)
+    n = ours.count_samples(2)
     theta = compute_deflection(device, 0.02 + np.arange(n) / ours.rate, 0.2, 0.7)
     expected = compute_sensor_field(ours.sensors, device, PLACE, TURN, theta)
     assert ours.compute_clean_readings(PLACE, TURN, n, 0.02, 0.2, 0.7) == pytest.approx(
@@ -82,7 +82,7 @@ def test_mismatches_move_the_truth_and_not_the_belief():
     assert np.abs(off.true_sensors.positions - off.sensors.positions).max() > 1e-4
 
 
-def test_a_device_led_along_a_standing_track_is_heard_as_one_that_is_held():
+def test_a_device_guided_along_a_constant_track_gives_the_signal_of_a_held_one():
     held, led = bench(), bench()
 
     def track(t):
@@ -91,7 +91,7 @@ def test_a_device_led_along_a_standing_track_is_heard_as_one_that_is_held():
     assert led.record_track(track, 4).field == pytest.approx(held.record(PLACE, TURN, 4).field, abs=1e-15)
 
 
-def test_a_disturbing_field_is_heard_along_each_axis_and_low_passed():
+def test_a_disturbing_field_is_measured_along_each_axis_and_low_passed():
     calm, loud = bench(settings=SILENT), bench(settings=SILENT)
 
     def step(times, places):
@@ -109,15 +109,15 @@ def test_a_disturbing_field_is_heard_along_each_axis_and_low_passed():
     assert early == pytest.approx(1e-6 * (1 - np.exp(-1.1)), rel=0.06)
 
 
-def test_quiet_recordings_are_as_long_as_asked_and_follow_no_drive():
-    quiet = bench().quiet(5.0)
+def test_background_recordings_have_the_requested_length_and_follow_no_drive():
+    quiet = bench().record_background(5.0)
     assert 5.0 <= sum(q.duration for q in quiet) < 5.001
     assert all(q.drive is None and not np.isfinite(q.time_since_drive) for q in quiet)
 
 
 def test_learned_noise_comes_near_the_true_one():
     ours = bench(2)
-    learned, true = NoiseModel.learn(ours.quiet(6.0)), true_noise_model(ours)
+    learned, true = NoiseModel.learn(ours.record_background(6.0)), true_noise_model(ours)
     for order in (1, 3, 5):
         a = learned.lines[int(np.argmin(np.abs(learned.line_frequencies - 50.0 * order)))]
         b = true.lines[int(np.argmin(np.abs(true.line_frequencies - 50.0 * order)))]
@@ -143,7 +143,7 @@ def test_closed_form_covariance_of_the_sensors_own_noise_is_that_of_its_draws():
     assert blocks.T @ blocks / len(blocks) == pytest.approx(expected, abs=0.08 * expected.max())
 
 
-def test_the_bound_falls_with_listening_and_with_amplitude_and_knows_no_line_it_can_project_out():
+def test_the_bound_falls_with_listening_and_amplitude_and_ignores_lines_it_can_project_out():
     ours = bench()
     at = [compute_position_bound(compute_bound(ours, PLACE, TURN, n, 0.3)) for n in (1, 2, 6)]
     assert at[0] > at[1] > at[2]

@@ -60,8 +60,8 @@ def test_more_chunks_leave_the_first_ones_as_they_were():
     assert len({c.seed for c in many}) == 9
 
 
-def test_a_study_that_was_killed_goes_on_where_it_was(tmp_path):
-    asked = Options("draws").asked()
+def test_a_killed_study_continues_where_it_was(tmp_path):
+    asked = Options("draws").list_deciding()
     broken = [*pieces()[:3], *pieces(work=fails)[3:]]
     with pytest.raises(RuntimeError, match="killed"):
         run_chunks(broken, StudyFolder(tmp_path / "s", asked))
@@ -74,15 +74,15 @@ def test_a_study_that_was_killed_goes_on_where_it_was(tmp_path):
 
 
 def test_a_folder_of_another_study_is_not_resumed_nor_overwritten(tmp_path):
-    StudyFolder(tmp_path / "s", Options("bound", seed=1).asked())
+    StudyFolder(tmp_path / "s", Options("bound", seed=1).list_deciding())
     with pytest.raises(InputError, match="not empty"):
-        StudyFolder(tmp_path / "s", Options("bound", seed=1).asked())
+        StudyFolder(tmp_path / "s", Options("bound", seed=1).list_deciding())
     with pytest.raises(InputError, match="seed was 1, is 2"):
-        StudyFolder(tmp_path / "s", Options("bound", seed=2).asked(), resume=True)
+        StudyFolder(tmp_path / "s", Options("bound", seed=2).list_deciding(), resume=True)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="no study"):
-        StudyFolder(tmp_path / "other", Options("bound").asked(), resume=True)
+        StudyFolder(tmp_path / "other", Options("bound").list_deciding(), resume=True)
 
 
 def test_a_half_written_chunk_is_run_again(tmp_path):
@@ -107,7 +107,7 @@ def test_the_help_names_every_study():
     assert all(name in text for name in list_plugins("studies"))
 
 
-def test_nees_of_errors_drawn_from_the_covariance_averages_six():
+def test_nees_of_errors_sampled_from_the_covariance_averages_six():
     rng = np.random.default_rng(0)
     root = np.diag([1e-4, 2e-4, 5e-4, 1e-2, 2e-2, 1e-2]) @ (np.eye(6) + 0.3 * np.tri(6, k=-1))
     truth, turn = np.array([0, 0, 0.08]), np.array([1.0, 0, 0, 0])
@@ -186,7 +186,7 @@ def test_rates_are_those_of_the_timeline():
     assert precision.compute_rate(2) == pytest.approx(1.0 / (5 / 103.5 + 0.02 + 2 / 207.0))
 
 
-def test_damping_costs_precision_and_the_trend_says_so(monkeypatch):
+def test_damping_costs_precision_and_the_trend_shows_it(monkeypatch):
     monkeypatch.setattr(damping, "DAMPINGS", (0.0, 40.0))
     monkeypatch.setattr(damping, "HALF_PERIODS", (2,))
     options = small("damping", poses=16, estimators=("whitened",))

@@ -24,10 +24,10 @@ RIG = load_rig("tank")
 LEVELS = make_noise_levels(RIG)
 DEVICES = tuple(study.make_devices().values())
 WINDOW = study.make_window(RIG)
-POSES = Volume().poses(2, 1, 0)
+POSES = Volume().make_poses(2, 1, 0)
 
 
-def judge_of(weight: float, draws: int = 2) -> LayoutScorer:
+def make_scorer(weight: float, draws: int = 2) -> LayoutScorer:
     return LayoutScorer(DEVICES, LEVELS, WINDOW, POSES, RIG.sensors.bandwidth, Mismatch(), weight, draws)
 
 
@@ -39,8 +39,8 @@ def start() -> Layout:
 
 def test_score_of_the_search_is_the_bound():
     layout = start()
-    judged = judge_of(0.0)
-    score = judged.score(layout, judged.shares(layout))
+    scorer = make_scorer(0.0)
+    score = scorer.compute_score(layout, scorer.compute_shares(layout))
     squares = []
     for device in DEVICES:
         for room in range(2):
@@ -52,11 +52,11 @@ def test_score_of_the_search_is_the_bound():
     assert score == pytest.approx(np.sqrt(np.mean(squares)), rel=0.03)  # two phases instead of four
 
 
-def test_score_counts_sensors_out_of_place_as_the_judgement_does():
+def test_score_counts_misplaced_sensors_as_the_evaluation_does():
     layout = start()
-    with_errors, without = (judge_of(w, 1) for w in (1.0, 0.0))
-    squares = with_errors.score(layout, with_errors.shares(layout)) ** 2
-    squares -= without.score(layout, without.shares(layout)) ** 2
+    with_errors, without = (make_scorer(w, 1) for w in (1.0, 0.0))
+    squares = with_errors.compute_score(layout, with_errors.compute_shares(layout)) ** 2
+    squares -= without.compute_score(layout, without.compute_shares(layout)) ** 2
     noise = LEVELS.sample_room_model(RIG.sensors, 0)
     expected = np.mean(
         [evaluate_layout_value(RIG.sensors, d, noise, WINDOW, POSES, Mismatch()).systematic_rms ** 2 for d in DEVICES]
@@ -82,7 +82,7 @@ def test_sensors_out_of_place_do_to_a_fit_what_was_expected():
         moved = model.positions + mismatch.place * rng.standard_normal((10, 3))
         true = replace(model, positions=moved, axes=np.array(axes) * gains)
         size = device.theta_max / np.radians(30.0)
-        data = true.response(position, rotation, phase, size)[0]
+        data = true.compute_response(position, rotation, phase, size)[0]
         errors.append(Problem(model, data).fit(position, rotation, phase, size).position - position)
     expected = evaluate_layout_value(
         sensors, device, noise, WINDOW, Poses(position[None], rotation[None]), mismatch
@@ -91,8 +91,8 @@ def test_sensors_out_of_place_do_to_a_fit_what_was_expected():
 
 
 def test_a_search_only_improves_and_keeps_the_rules():
-    judged = judge_of(0.1, 1)
-    search = Search(judged, judged.find_best_of_random(10, 2, np.random.default_rng(1)), np.random.default_rng(0))
+    scorer = make_scorer(0.1, 1)
+    search = Search(scorer, scorer.find_best_of_random(10, 2, np.random.default_rng(1)), np.random.default_rng(0))
     scores = [search.score]
     for _ in range(30):
         search.step()

@@ -53,7 +53,7 @@ def test_static_method_is_built_for_it_without_a_scalpel():
     options = Options("scalpel", seed=2)
     chunk = cut_chunks(options, study.run_chunk, [("one", {"first": 0, "repeats": 1, "mismatch": 0.0})])[0]
     bench = study._make_magnet_bench(chunk, 0.89e-3)
-    assert bench.samples(1) == round(study.STATIC_SECONDS * bench.rate)
+    assert bench.count_samples(1) == round(study.STATIC_SECONDS * bench.rate)
     errors = [
         study.compute_static_error(bench, np.array([0, 0, 0.08]), make_reference_orientation(), None) for _ in range(4)
     ]

@@ -36,13 +36,13 @@ def carried(tmp_path_factory):
     """The whole study of a short line, with a search of a few flights."""
     folder = tmp_path_factory.mktemp("margins") / "s"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, "closest_gains", partial(study.closest_gains, most=4))
+        patch.setattr(study, "find_closest_gains", partial(study.find_closest_gains, most=4))
         patch.setattr(study, "_fly_reduced", lambda *_: np.zeros((0, 4)))
         outcome, path = run_study(load_study("margins"), short(), folder)
     return outcome, path
 
 
-def test_the_study_leaves_margins_at_every_place_and_says_the_worst(carried):
+def test_the_study_writes_margins_at_every_place_and_reports_the_worst(carried):
     outcome, path = carried
     figures = json.loads((path / "study.json").read_text())
     assert {"results.csv", "margins.png", "study.json"} <= {p.name for p in path.iterdir()}
@@ -112,7 +112,7 @@ def test_what_cannot_be_studied_is_one_clear_error(arguments, message, capsys, t
 
 def test_a_study_of_a_mission_resumes_with_the_same_mission_only():
     def given(mission, settings):
-        return _make_mission_options(STUDY, mission, 1, 0, None, settings, {}).asked()
+        return _make_mission_options(STUDY, mission, 1, 0, None, settings, {}).list_deciding()
 
     assert given("line", ["a=1", "b=2"]) == given("line", ["b=2", "a=1"])
     assert given("line", None) != given("r_path", None)
@@ -123,7 +123,7 @@ def test_a_study_of_a_mission_resumes_with_the_same_mission_only():
 def test_gains_go_no_further_than_the_reduced_plant_follows(passed, monkeypatch):
     """Of three flights all pass now: the first share of the way with which no fewer pass is taken, or else the last."""
     found = Found({"lookahead_mm": 1.6}, 1.0, 0.5, (10.0, 10.0), 7)
-    monkeypatch.setattr(study, "closest_gains", lambda model, weights: found)
+    monkeypatch.setattr(study, "find_closest_gains", lambda model, weights: found)
     asked = []
 
     def flown(chunk, mission, settings):
@@ -152,7 +152,7 @@ def test_both_sets_of_gains_are_flown_in_the_same_worlds_of_the_reduced_plant():
     assert after.shape == (before.shape if columns["_names"].size else (0, 4))
 
 
-def test_a_flight_too_short_to_analyse_says_so():
+def test_a_flight_too_short_to_analyse_is_an_error():
     empty = {"_names": np.array([], dtype=np.str_), "_values": np.array([])}
     row = {"cycle": np.array([1]), "arc": np.array([0.0]), "speed": np.array([0.0]), "duration": np.array([0.1]),
            "wait": np.array([0.0]), "saturated": np.array([False])}  # fmt: skip

@@ -32,9 +32,9 @@ def world(rig, robot):
 def drift(hull, bodies, magnetic, duration, step):
     """Run under a constant body-frame force and torque; returns the last state."""
     for _ in range(round(duration / step)):
-        state = bodies.state()
+        state = bodies.read_state()
         bodies.move(*compute_float_step(*state, magnetic, hull.values, hull.float_height, step), step)
-    return bodies.state()
+    return bodies.read_state()
 
 
 @pytest.mark.parametrize("step", STEPS)
@@ -55,7 +55,7 @@ def test_alignment_time_constant_is_rotation_drag_over_torque(world, rig, robot,
     times, angles = [], []
     direction = np.array([np.cos(0.2), np.sin(0.2), 0.0])
     for k in range(round(2 * tau / step)):
-        position, quaternion, velocity, spin = bodies.state()
+        position, quaternion, velocity, spin = bodies.read_state()
         rotation = matrix_from_quaternion(np.array(quaternion))
         torque = np.cross([0, 0, moment], rotation.T @ direction * field)
         times.append(k * step)
@@ -76,7 +76,7 @@ def test_alignment_time_constant_is_rotation_drag_over_torque(world, rig, robot,
 
 def test_robot_floats_where_displaced_liquid_weighs_as_much_as_it(world, rig, robot):
     hull, bodies = world
-    bodies.place(np.array([0, 0, hull.float_height + 3e-4]), LEVEL)
+    bodies.set_pose(np.array([0, 0, hull.float_height + 3e-4]), LEVEL)
     position, _, _, _ = drift(hull, bodies, (0,) * 6, 1.0, 1e-3)
     x, y, z = robot.size
     draft = rig.surface_z - (position[2] - 0.5 * y)
@@ -88,7 +88,7 @@ def test_robot_floats_where_displaced_liquid_weighs_as_much_as_it(world, rig, ro
 def test_surface_rights_a_tilted_robot(world):
     hull, bodies = world
     tilt = quaternion_from_rotation_vector(np.array([0.2, 0.1, 0.0]))
-    bodies.place(np.array([0, 0, hull.float_height]), multiply_quaternions(tilt, LEVEL))
+    bodies.set_pose(np.array([0, 0, hull.float_height]), multiply_quaternions(tilt, LEVEL))
     _, quaternion, _, _ = drift(hull, bodies, (0,) * 6, 2.0, 1e-3)
     assert matrix_from_quaternion(np.array(quaternion))[2, 1] > 0.9999
 
@@ -97,7 +97,7 @@ def test_surface_rights_a_tilted_robot(world):
 def test_walls_contain_the_robot(world, rig, heading):
     hull, bodies = world
     ahead = np.array([np.cos(heading), np.sin(heading), 0])
-    bodies.place(np.array([0, 0, hull.float_height]), quaternion_from_axes(ahead, np.array([0, 0, 1.0]), "zy"))
+    bodies.set_pose(np.array([0, 0, hull.float_height]), quaternion_from_axes(ahead, np.array([0, 0, 1.0]), "zy"))
     position, _, _, _ = drift(hull, bodies, (0, 0, 1e-3, 0, 0, 0), 2.0, 1e-3)
     half = 0.5e-3 * np.array(rig.sections.container.size_mm)
     assert np.all(np.abs(position[:2]) < half - 0.9e-3)
@@ -109,5 +109,5 @@ def test_a_robot_heavier_than_its_liquid_rests_on_the_floor(world, rig, robot):
     sunk = hull.values.copy()
     sunk[10] = 2 * hull.values[11]
     for _ in range(4000):
-        bodies.move(*compute_float_step(*bodies.state(), (0,) * 6, sunk, hull.float_height, 1e-3), 1e-3)
-    assert bodies.state()[0][2] == pytest.approx(45e-3 + 0.5 * robot.size[1], abs=5e-5)
+        bodies.move(*compute_float_step(*bodies.read_state(), (0,) * 6, sunk, hull.float_height, 1e-3), 1e-3)
+    assert bodies.read_state()[0][2] == pytest.approx(45e-3 + 0.5 * robot.size[1], abs=5e-5)

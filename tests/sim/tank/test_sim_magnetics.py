@@ -132,7 +132,7 @@ def test_nominal_excitation_field_is_that_of_the_bobbins_inside_and_outside(rig)
     excitation = TabulatedExcitation(rig)
     for point in ([0.0, 0.0, 0.06], [0.015, -0.012, 0.058], [0.0, 0.0, 0.12]):
         exact = [coil.field(np.array([point]))[0] for coil in rig.flat_coils()]
-        assert np.allclose(excitation.at(np.array(point)), exact, rtol=1e-4, atol=1e-9)
+        assert np.allclose(excitation.compute_field(np.array(point)), exact, rtol=1e-4, atol=1e-9)
 
 
 def test_the_external_coil_leaves_a_few_microtesla_of_the_earths_field(rig):

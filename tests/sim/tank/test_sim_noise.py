@@ -27,7 +27,7 @@ def one_sensor_many_times(section, seconds=40.0, sensors=24, pieces=1):
 
 
 @pytest.mark.parametrize("pieces", [1, 400])
-def test_sensor_noise_has_the_wanted_spectrum_whole_or_in_pieces(section, pieces):
+def test_sensor_noise_has_the_specified_spectrum_at_once_or_in_pieces(section, pieces):
     from scipy.signal import welch
 
     record = one_sensor_many_times(section, seconds=20.0, pieces=pieces)[:, ::10]

@@ -51,7 +51,7 @@ def test_without_the_witness_nothing_else_changes(open_tank):
         assert np.array_equal(watched.play(CYCLE).field, alone.play(CYCLE).field)
 
 
-def test_recording_says_when_and_after_what_it_was_heard(open_tank):
+def test_a_recording_has_its_time_and_its_drive(open_tank):
     rig = open_tank()
     heard = rig.play(CYCLE)
     assert heard.field.shape == (10, round(CYCLE.listen.duration * 50_000))
@@ -141,7 +141,7 @@ def test_a_start_outside_the_container_is_refused(open_tank):
         open_tank(start=(0.03, 0.0))
 
 
-def test_doubling_the_mismatch_doubles_what_is_drawn_and_ideal_draws_nothing():
+def test_doubling_the_mismatch_doubles_every_sample_and_ideal_samples_nothing():
     def truth(scale, ideal=False):
         settings = TankSettings(mismatch=MismatchSection(scale=scale))
         return sample_truth(settings, 6, 10, RandomStreams.from_seed(4), ideal=ideal)
@@ -156,7 +156,7 @@ def test_doubling_the_mismatch_doubles_what_is_drawn_and_ideal_draws_nothing():
             assert np.all(np.asarray(value) == nominal), name
 
 
-def test_doubling_the_mismatch_changes_what_is_heard(open_tank):
+def test_doubling_the_mismatch_changes_the_recording(open_tank):
     once, twice = open_tank(seed=2), open_tank(seed=2, tank__mismatch__scale="2.0")
     assert not np.array_equal(once.play(CYCLE).field, twice.play(CYCLE).field)
 
@@ -197,7 +197,7 @@ def test_windows_that_are_no_multiple_of_the_step_are_filled_exactly(open_tank):
     assert rig.play(odd).clock == pytest.approx(odd.duration + 0.0194456, abs=1e-9)
 
 
-def test_faults_of_the_tank_section_are_told_by_line_and_key(tmp_path):
+def test_faults_of_the_tank_section_are_reported_by_line_and_key(tmp_path):
     path = tmp_path / "my.toml"
     path.write_text('name = "x"\n[tank]\nphysics_step_ms = 0\n[tank.mismatch]\ncoil_plase_mm = 0.3\n')
     document = Document.read(path)

@@ -89,7 +89,7 @@ def test_recordings_come_in_steps_of_the_converter(open_tank):
     assert len(np.unique(field)) > 50
 
 
-def test_listening_through_a_strong_field_saturates_and_says_so(open_tank):
+def test_listening_through_a_strong_field_saturates_and_reports_it(open_tank):
     rig = open_tank(limits__min_ring_down_ms="0.0")
     loud = rig.play(Shot((Actuate((8.0, 0, 0, 0), 0.03), Listen(2, FREQUENCY))))
     assert loud.saturated.any()
@@ -97,7 +97,7 @@ def test_listening_through_a_strong_field_saturates_and_says_so(open_tank):
     assert not rig.play(LISTEN).saturated.any()
 
 
-def test_dying_coils_are_heard_shortly_after_a_drive_and_not_after_20_ms(open_tank):
+def test_decaying_coils_are_measured_shortly_after_a_drive_and_not_after_20_ms(open_tank):
     rig = open_tank(noise__constant_nt="0.0")
     soon = rig.play(Shot((Excite((8.0, 8.0), FREQUENCY, 5), RingDown(0.006), Listen(2, FREQUENCY)))).field
     late = rig.play(Shot((Excite((8.0, 8.0), FREQUENCY, 5), RingDown(0.020), Listen(2, FREQUENCY)))).field

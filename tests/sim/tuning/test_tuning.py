@@ -107,7 +107,7 @@ def test_poor_trials_are_given_up_before_they_have_flown_every_world(tmp_path, f
     assert min(costs) > study.best_value
 
 
-def test_a_killed_search_goes_on_where_it_was_and_counts_what_was_left_as_failed(tmp_path, flown):
+def test_a_killed_search_continues_and_counts_running_trials_as_failed(tmp_path, flown):
     study = open_study(tmp_path / "journal", 3, "search", resume=False)
     run_search(study, problem(), 10, Here())
     study.ask()  # killed here

@@ -35,7 +35,7 @@ class Echo:
     def begin_acquisition(self) -> None:
         pass
 
-    def volts(self, first: int, n: int) -> FloatArray:
+    def read_volts(self, first: int, n: int) -> FloatArray:
         return np.tile(1e-6 * np.arange(first, first + n), (10, 1)) + np.arange(10)[:, None]
 
     @property
@@ -71,7 +71,7 @@ class Bench:
     driver: Driver
     card: Card
 
-    def driver_anew(self) -> Driver:
+    def open_another_driver(self) -> Driver:
         """Another connection of the client library to the same server."""
         return Driver(self.section.server, 1e-3 * self.section.call_timeout_ms)
 

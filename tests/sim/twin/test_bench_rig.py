@@ -66,7 +66,7 @@ def rig(config: RigConfig, twin: Twin) -> Iterator[BenchRig]:
 
 
 def at_rest(twin: Twin) -> bool:
-    state = twin.card.state()
+    state = twin.card.read_state()
     return not state["driven"] and not state["relays_closed"] and not any(state["outputs_v"])
 
 
@@ -77,7 +77,7 @@ def test_bench_keeps_the_shape_of_the_promise(rig: BenchRig) -> None:
     assert all(item.ok for item in rig.checks())
 
 
-def test_a_cycle_is_heard_as_the_tank_lets_it_be_heard(rig: BenchRig, twin: Twin) -> None:
+def test_a_cycle_is_recorded_as_in_the_tank(rig: BenchRig, twin: Twin) -> None:
     asked = rig.now()
     heard = rig.play(CYCLE)
     assert heard is not None
@@ -109,10 +109,10 @@ def test_pulls_that_nothing_listens_to_and_quiet_shots_are_played(rig: BenchRig,
     ],
 )
 def test_what_the_tank_refuses_the_bench_refuses(rig: BenchRig, twin: Twin, bad: Shot) -> None:
-    shots = twin.card.state()["shots"]
+    shots = twin.card.read_state()["shots"]
     with pytest.raises(InterlockError, match="Nothing was played"):
         rig.play(bad)
-    assert twin.card.state()["shots"] == shots
+    assert twin.card.read_state()["shots"] == shots
 
 
 def test_stop_latches(rig: BenchRig, twin: Twin) -> None:
@@ -130,10 +130,10 @@ def test_one_lost_window_is_counted_and_two_end_it(rig: BenchRig, twin: Twin) ->
     assert rig.play(CYCLE) is not None
     twin.inject(parse_fault("overrun@now:good"))
     assert rig.play(CYCLE) is None
-    shots = twin.card.state()["shots"]
+    shots = twin.card.read_state()["shots"]
     with pytest.raises(RigError, match="2 windows in a row were lost"):
         rig.play(CYCLE)
-    assert twin.card.state()["shots"] == shots  # nothing was driven again
+    assert twin.card.read_state()["shots"] == shots  # nothing was driven again
     assert at_rest(twin)
 
 
@@ -209,7 +209,7 @@ def test_without_sensors_no_coil_is_blamed(rig: BenchRig, twin: Twin, config: Ri
 
 
 def test_a_probe_that_breaks_a_limit_is_refused(rig: BenchRig, twin: Twin) -> None:
-    shots = twin.card.state()["shots"]
+    shots = twin.card.read_state()["shots"]
     with pytest.raises(InterlockError, match="Nothing was played"):
         rig.probe("+x", 9.0)
-    assert twin.card.state()["shots"] == shots
+    assert twin.card.read_state()["shots"] == shots

@@ -98,7 +98,7 @@ def test_an_overrun_that_comes_while_a_read_waits_loses_that_read(bench: Bench) 
 
 
 def test_a_device_that_is_gone_for_good_answers_nothing_until_it_is_back(bench: Bench) -> None:
-    device = bench.driver.device("Dev1")
+    device = bench.driver.get_device("Dev1")
     bench.model.faults.add(parse_fault("device_gone@now:good"))
     for _ in range(2):
         with pytest.raises(DaqError) as raised:
@@ -113,7 +113,7 @@ def test_a_server_that_was_killed_comes_back_and_knows_no_task(bench: Bench) -> 
     with pytest.raises(RpcError, match="UNAVAILABLE"):
         bench.card.inputs.stop()
     bench.server.restart()
-    again = bench.driver_anew()
+    again = bench.open_another_driver()
     with again.task() as task:
         assert inputs(task).channel_names == ["Dev1/ai0", "Dev1/ai1"]
     again.close()
@@ -136,6 +136,6 @@ def test_attributes_read_back_what_was_set(bench: Bench) -> None:
         assert task.in_stream.num_chans == 2
         data = task.read(700)
     assert np.shape(data) == (2, 700)
-    device = bench.driver.device("Dev1")
+    device = bench.driver.get_device("Dev1")
     assert device.product_type == "PCIe-6363"
     assert device.is_simulated

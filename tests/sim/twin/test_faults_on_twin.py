@@ -33,7 +33,7 @@ def shot(bench: Bench, pulling: float = 0.02) -> Waveform:
         ("read_timeout", LostWindow, "-200284"),
     ],
 )
-def test_a_fault_that_comes_once_is_one_stated_error_and_the_next_shot_plays(
+def test_a_fault_that_occurs_once_is_one_stated_error_and_the_next_shot_plays(
     bench: Bench, no_guard: NoGuard, fault: str, kind: type[Exception], said: str
 ) -> None:
     waveform = shot(bench)
@@ -56,15 +56,13 @@ def test_a_fault_that_stays_fails_every_shot_until_it_is_cleared(bench: Bench, n
 
 
 @pytest.mark.parametrize("phase", ["before", "actuation", "listening"])
-def test_a_fault_comes_in_the_phase_and_the_shot_that_were_asked_for(
-    bench: Bench, no_guard: NoGuard, phase: str
-) -> None:
+def test_a_fault_occurs_in_the_requested_phase_and_shot(bench: Bench, no_guard: NoGuard, phase: str) -> None:
     waveform = shot(bench)
     bench.model.faults.add(parse_fault(f"overrun@{phase}#2"))
     assert bench.card.play(waveform, no_guard)[0] is not None
     with pytest.raises(LostWindow):
         bench.card.play(waveform, no_guard)
-    entries = bench.model.journal.since()
+    entries = bench.model.journal.list_since()
     came = next(e for e in entries if e["what"] == "fault")
     shots = [e["time"] for e in entries if e["what"] == "shot"]
     begins, ends = {"before": (0, 0.0), "actuation": (1, 0.02), "listening": (1, 0.07)}[phase]
@@ -100,7 +98,7 @@ def test_a_server_that_stalls_runs_into_deadlines_and_the_watchdog_opens_every_r
     guard.close()
 
 
-def test_an_unfed_watchdog_opens_every_relay_in_time_and_says_so(bench: Bench) -> None:
+def test_an_unfed_watchdog_opens_every_relay_in_time_and_reports_it(bench: Bench) -> None:
     class Unfed(Guard):
         def _feed_and_watch(self) -> None:
             pass
@@ -114,7 +112,7 @@ def test_an_unfed_watchdog_opens_every_relay_in_time_and_says_so(bench: Bench) -
         while not bench.model.expired and time.monotonic() < expired:
             time.sleep(0.01)
         guard._watchdog.reset_timer()
-    entries = bench.model.journal.since()
+    entries = bench.model.journal.list_since()
     shot_at = next(e["time"] for e in entries if e["what"] == "shot")
     opened = next(e["time"] for e in entries if e["what"] == "closed" and not e["on"])
     # armed some calls before the shot began; a step of the card and the relays' opening come on top
@@ -122,18 +120,18 @@ def test_an_unfed_watchdog_opens_every_relay_in_time_and_says_so(bench: Bench) -
     guard.close()
 
 
-def test_a_stuck_relay_is_seen_at_the_contacts_and_a_pressed_button_at_its_line(bench: Bench) -> None:
+def test_a_stuck_relay_is_detected_at_the_contacts_and_a_pressed_button_at_its_line(bench: Bench) -> None:
     guard = Guard(bench.section, bench.driver, lambda reason: None)
     guard.open()
     guard.check_relays_open()
     bench.model.faults.add(parse_fault("relay_stuck@now:good"))
     with pytest.raises(RigError, match="a relay did not open"):
         bench.card.play(shot(bench), guard)
-    assert guard.pressed() is None
+    assert guard.describe_pressed_button() is None
     bench.model.faults.add(parse_fault("button@now:good"))
     with pytest.raises(RigError, match="a relay did not open"):
         guard.check_relays_open()  # looks at all lines
-    assert "button" in (guard.pressed() or "")
+    assert "button" in (guard.describe_pressed_button() or "")
     guard.close()
 
 
@@ -154,10 +152,10 @@ def test_dead_and_saturated_sensors_read_zero_and_full_scale(bench: Bench, no_gu
 def test_frozen_outputs_keep_driving_until_they_are_written_at_once(bench: Bench, no_guard: NoGuard) -> None:
     bench.model.faults.add(parse_fault("outputs_frozen@actuation#1:good"))
     bench.card.play(shot(bench), no_guard)
-    state = bench.model.state()
+    state = bench.model.read_state()
     assert state["driven"]
     assert state["relays_closed"] == ["+x", "+y"]
-    bench.card.silence()
+    bench.card.zero_outputs()
     assert bench.model.wait_until_at_rest(1.0)
 
 
@@ -168,7 +166,7 @@ def test_faults_wait_for_their_second_after_the_first_shot() -> None:
     now[0] = 100.0
     box.activate_due()
     assert came == []  # no shot yet
-    box.moment("actuation", 1)
+    box.notify_phase("actuation", 1)
     now[0] = 102.4
     box.activate_due()
     assert came == []
@@ -181,7 +179,7 @@ def test_faults_wait_for_their_second_after_the_first_shot() -> None:
 
 
 @pytest.mark.parametrize("text", ["flood", "overrun@noon", "overrun@actuation#x", "overrun@now:twice"])
-def test_a_fault_that_cannot_be_read_says_what_can(text: str) -> None:
+def test_a_fault_that_cannot_be_read_names_those_that_can(text: str) -> None:
     with pytest.raises(InputError, match=f"--fault {text}: "):
         parse_fault(text)
 

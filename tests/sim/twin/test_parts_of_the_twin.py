@@ -81,8 +81,8 @@ def test_the_journal_does_not_care_how_time_is_cut(runs: list[tuple[int, bool]],
     line = OnOffMonitor(journal, "driven", pause)
     edges = sorted({0, len(levels), *(cut for cut in cuts if cut < len(levels))})
     for begin, end in itertools.pairwise(edges):
-        line.follow(begin, levels[begin:end], 100.0, RATE)
-    entries = [(round((e["time"] - 100.0) * RATE), e["on"]) for e in journal.since()]
+        line.update(begin, levels[begin:end], 100.0, RATE)
+    entries = [(round((e["time"] - 100.0) * RATE), e["on"]) for e in journal.list_since()]
 
     # independently: bridge what is shorter than the pause, then look for edges
     bridged, since = levels.copy(), 0
@@ -98,32 +98,32 @@ def test_the_journal_does_not_care_how_time_is_cut(runs: list[tuple[int, bool]],
 def test_the_journal_gives_what_came_after_an_entry() -> None:
     journal = Journal()
     for number in range(5):
-        journal.note("thing", which=number)
-    seen = journal.since()
-    assert [e["which"] for e in journal.since(seen[2]["number"])] == [3, 4]
+        journal.add("thing", which=number)
+    seen = journal.list_since()
+    assert [e["which"] for e in journal.list_since(seen[2]["number"])] == [3, 4]
 
 
-def test_a_hand_moves_when_it_is_asked_late_but_never_early() -> None:
+def test_the_magnet_operator_moves_late_but_never_early() -> None:
     hand = MagnetOperator(10.0, 0.2, np.random.default_rng(1))
     took = []
     for number in range(40):
         to, begin = ("near", "away")[number % 2], 100.0 * number
-        hand.look(to, begin)
-        assert hand.place is None
+        hand.update(to, begin)
+        assert hand.magnet_position is None
         time = begin
-        while hand.place is None:
+        while hand.magnet_position is None:
             time += 0.1
-            hand.look(to, time)
-        assert hand.place == to
-        hand.look(None, time + 1.0)
-        assert hand.place == to
+            hand.update(to, time)
+        assert hand.magnet_position == to
+        hand.update(None, time + 1.0)
+        assert hand.magnet_position == to
         took.append(time - begin)
     assert min(took) >= 10.0 - 1e-9
     # half of a normal: mean sqrt(2 / pi), of 2 s
     assert np.mean(took) == pytest.approx(10.0 + 2.0 * np.sqrt(2.0 / np.pi), abs=3 * 1.2 / np.sqrt(40))
 
 
-def test_the_side_door_answers_and_says_what_it_does_not_know() -> None:
+def test_the_control_interface_answers_and_reports_what_it_does_not_know() -> None:
     heard: list[str] = []
     handlers: dict[str, Callable[..., object]] = {
         "inject": lambda asked: heard.append(parse_fault(asked["fault"]).name),
@@ -134,7 +134,7 @@ def test_the_side_door_answers_and_says_what_it_does_not_know() -> None:
         with TwinControl(f"127.0.0.1:{server.port}") as control:
             control.inject("overrun@listening#30:good")
             assert heard == ["overrun"]
-            assert control.log(7) == [{"number": 8}]
+            assert control.read_log(7) == [{"number": 8}]
             with pytest.raises(RigError, match="no fault is named 'flood'"):
                 control.inject("flood")
             with pytest.raises(RigError, match='"do": inject, log'):

@@ -64,16 +64,16 @@ def test_sampled_commands_move_the_tank_as_windows_do(both):
     tank, plant = both
     assert plant.played == round(SHOT.duration * plant.rate)
     for at in np.linspace(0.0, SHOT.duration, 9):
-        one, other = tank.history.at(at), plant.history.at(at)
+        one, other = tank.history.interpolate_pose(at), plant.history.interpolate_pose(at)
         assert np.linalg.norm(one[:3] - other[:3]) < 2e-7  # pieces end steps elsewhere; a pull moves it by 1e-4
         assert abs(abs(one[3:] @ other[3:]) - 1) < 1e-6
 
 
-def test_sampled_commands_are_heard_as_windows_are(both):
+def test_sampled_commands_give_the_signal_of_windows(both):
     tank, plant = both
     clock, n = SHOT.duration - 0.02, 1000
-    heard, _ = tank.listen(clock, n)
-    volts = plant.volts(plant.played - n, n)
+    heard, _ = tank.measure(clock, n)
+    volts = plant.read_volts(plant.played - n, n)
     signal = heard - heard.mean(axis=1, keepdims=True)
     field = volts * 1e-6
     field -= field.mean(axis=1, keepdims=True)
@@ -87,8 +87,8 @@ def test_pieces_of_a_recording_fit_together():
     for plant in (one, other):
         plant.advance(np.zeros((6, 3000)))
         plant.begin_acquisition()
-    whole = one.volts(1000, 2000)
-    parts = np.hstack([other.volts(1000, 500), other.volts(1500, 700), other.volts(2200, 800)])
+    whole = one.read_volts(1000, 2000)
+    parts = np.hstack([other.read_volts(1000, 500), other.read_volts(1500, 700), other.read_volts(2200, 800)])
     # mains and constants are the same; each sensor's own noise is of the size of some steps of the converter
     assert np.abs(whole.mean(axis=1) - parts.mean(axis=1)).max() < 5e-4
     steps = np.abs(np.diff(parts, axis=1))
@@ -102,7 +102,7 @@ def test_volts_are_whole_steps_of_the_converter():
     plant.advance(np.zeros((6, 500)))
     plant.begin_acquisition()
     step = 20.0 / 2**16
-    readings = plant.volts(0, 500) / step
+    readings = plant.read_volts(0, 500) / step
     assert np.abs(readings - np.round(readings)).max() < 1e-6
 
 
@@ -112,15 +112,15 @@ def test_each_recording_has_constants_of_its_own():
     means = []
     for first in (0, 1000):
         plant.begin_acquisition()
-        means.append(plant.volts(first, 1000).mean(axis=1))
+        means.append(plant.read_volts(first, 1000).mean(axis=1))
     assert np.abs(means[0] - means[1]).max() > 0.02
 
 
-def test_what_was_not_played_cannot_be_heard():
+def test_what_was_not_played_cannot_be_read():
     plant = make(TwinPlant)
     plant.advance(np.zeros((6, 100)))
     with pytest.raises(InputError, match="keeps samples 0 to 100"):
-        plant.volts(50, 100)
+        plant.read_volts(50, 100)
 
 
 def test_commands_that_no_card_can_give_change_nothing():
@@ -135,23 +135,23 @@ def test_the_plant_forgets_what_is_long_past():
     plant = make(TwinPlant)
     for _ in range(30):
         plant.advance(np.zeros((6, 50_000)))
-    assert len(plant.history.since(0.0)[0]) < 15_000
+    assert len(plant.history.find_rows_since(0.0)[0]) < 15_000
     with pytest.raises(InputError):
-        plant.volts(0, 10)
-    plant.volts(plant.played - 1000, 1000)
+        plant.read_volts(0, 10)
+    plant.read_volts(plant.played - 1000, 1000)
 
 
 def test_a_magnet_that_turns_near_a_helix_screws_it_forward():
     plant = make(TwinPlant, "gel", "helical")
-    plant.magnet(0.0, 0.0, near=False)
+    plant.set_magnet(0.0, 0.0, near=False)
     plant.advance(np.zeros((2, 5000)))
-    start = plant.history.at(plant.time)
+    start = plant.history.interpolate_pose(plant.time)
     heading = math.atan2(*(_axis(start)[1::-1]))
     span = 250
     for k in range(400):  # two seconds, half a turn
-        plant.magnet(math.pi * k / 400, heading, near=True)
+        plant.set_magnet(math.pi * k / 400, heading, near=True)
         plant.advance(np.zeros((2, span)))
-    end = plant.history.at(plant.time)
+    end = plant.history.interpolate_pose(plant.time)
     moved = end[:3] - start[:3]
     assert abs(moved @ _axis(start)) > 1e-4
     assert abs(moved @ _axis(start)) > 0.7 * np.linalg.norm(moved)
@@ -160,10 +160,10 @@ def test_a_magnet_that_turns_near_a_helix_screws_it_forward():
 def test_a_magnet_that_is_near_saturates_the_sensors_then_and_only_then():
     plant = make(TwinPlant, "gel", "helical")
     for near in (False, True, None):
-        plant.magnet(0.0, 0.0, near=near)
+        plant.set_magnet(0.0, 0.0, near=near)
         plant.advance(np.zeros((2, 1000)))
     plant.begin_acquisition()
-    before, during, after = (plant.volts(first, 900) for first in (50, 1050, 2050))
+    before, during, after = (plant.read_volts(first, 900) for first in (50, 1050, 2050))
     top = 20.0 / 2**16 * (2**15 - 1)
     assert np.all((during >= top) | (during == -10.0))
     assert 0 < np.count_nonzero(during[:, 0] < 0) < 10  # a dipole points up here and down there
@@ -175,7 +175,7 @@ def test_currents_obey_their_commands_while_the_magnet_is_near():
     plant = make(TwinPlant, "gel", "helical")
     plant.advance(np.full((2, 2500), 2.0))
     assert plant.coils.circuits[:2, 0] == pytest.approx(2.0, rel=1e-9)
-    plant.magnet(0.0, 0.0, near=True)
+    plant.set_magnet(0.0, 0.0, near=True)
     plant.advance(np.zeros((2, 250)))
     assert plant.coils.circuits[:2, 0] == pytest.approx(2.0 * np.exp(-5e-3 / plant.coils.circuits[:2, 3]), rel=1e-9)
 
@@ -183,13 +183,13 @@ def test_currents_obey_their_commands_while_the_magnet_is_near():
 def test_a_robot_outside_the_container_is_an_error_that_says_where_and_when():
     plant = make(TwinPlant)
     plant.advance(np.zeros((6, 250)))
-    plant.carrier.bodies.place(np.array([0.0, 0.0, 0.4]), np.array([1.0, 0.0, 0.0, 0.0]))
+    plant.carrier.bodies.set_pose(np.array([0.0, 0.0, 0.4]), np.array([1.0, 0.0, 0.0, 0.0]))
     with pytest.raises(RigError, match=r"left the container, to .* 399\.\d+\] mm, at 0\.010 s"):
         plant.advance(np.zeros((6, 250)))
 
 
-def test_what_was_drawn_can_be_written_down():
-    drawn = make(TwinPlant, "gel", "helical").drawn()
+def test_sampled_mismatches_can_be_written_as_json():
+    drawn = make(TwinPlant, "gel", "helical").list_mismatches()
     assert json.loads(json.dumps(drawn)).keys() == {"truth", "carrier"}
 
 
@@ -206,7 +206,7 @@ def rows(count, start):
     return out
 
 
-def test_truth_arrives_at_another_process_as_it_was_told():
+def test_truth_arrives_at_another_process_unchanged():
     server = TruthServer("127.0.0.1", 0, {"seed": 4, "truth": np.zeros(2)})
     epoch = time.monotonic()
     witness = RemoteWitness(f"127.0.0.1:{server.port}", epoch)
@@ -227,7 +227,7 @@ def test_truth_arrives_at_another_process_as_it_was_told():
         server.close()
 
 
-def test_a_witness_without_a_twin_says_so():
+def test_a_witness_without_a_twin_is_an_error():
     server = TruthServer("127.0.0.1", 0, {})
     server.close()
     with pytest.raises(RigError, match="no twin tells the truth"):

@@ -57,7 +57,7 @@ def both():
 
 
 def clean(plant, clock, n):
-    pose_times, poses = plant.history.since(clock - 2 * plant.sensors.lead)
+    pose_times, poses = plant.history.find_rows_since(clock - 2 * plant.sensors.lead)
     used = slice(0, plant._used)
     return plant.sensors.compute_clean_readings(
         clock, n, plant.device, plant.coils.coupling, plant._trace_times[used], plant._trace[used], pose_times, poses
@@ -68,13 +68,13 @@ def test_the_same_commands_give_the_same_motion(both):
     tank, plant = both
     assert plant.time == pytest.approx(tank.time, abs=1e-12)
     for at in np.linspace(0.0, tank.time, 41):
-        one, other = tank.history.at(at), plant.history.at(at)
+        one, other = tank.history.interpolate_pose(at), plant.history.interpolate_pose(at)
         assert one == pytest.approx(other, rel=0, abs=1e-10)
-    moved = tank.history.at(tank.time)[:3] - tank.history.at(0.0)[:3]
+    moved = tank.history.interpolate_pose(tank.time)[:3] - tank.history.interpolate_pose(0.0)[:3]
     assert np.linalg.norm(moved) > 1e-5
 
 
-def test_the_same_commands_are_heard_as_the_same_signal(both):
+def test_the_same_commands_give_the_same_signal(both):
     tank, plant = both
     n = round(0.02 * plant.rate)
     one, other = clean(tank, tank.time - 0.02, n), clean(plant, plant.time - 0.02, n)
@@ -82,7 +82,7 @@ def test_the_same_commands_are_heard_as_the_same_signal(both):
     assert np.abs(one - other).max() < 1e-13  # a step of the converter is 3e-10 T
 
 
-def test_pieces_of_a_clean_signal_fit_together_to_less_than_the_converter_sees(both):
+def test_pieces_of_a_clean_signal_fit_together_to_less_than_the_converter_resolves(both):
     _, plant = both
     begin, n = plant.time - 0.02, 1000
     parts = [clean(plant, begin + first / plant.rate, 250) for first in range(0, n, 250)]
@@ -98,17 +98,20 @@ def test_a_magnet_that_is_measured_turns_the_helix_as_one_that_is_commanded():
     tank.advance((Rotate(axis, frequency, turns),))
     seconds = turns / frequency
     still = np.zeros((2, PIECE))
-    plant.magnet(0.0, heading, near=True)
+    plant.set_magnet(0.0, heading, near=True)
     plant.advance(still)
     start = plant.time
     for k in range(round(seconds * plant.rate / PIECE)):
-        plant.magnet(2 * math.pi * frequency * (k + 1) * PIECE / plant.rate, heading, near=True)
+        plant.set_magnet(2 * math.pi * frequency * (k + 1) * PIECE / plant.rate, heading, near=True)
         plant.advance(still)
     for share in (0.25, 0.5, 0.75, 1.0):
-        one, other = tank.history.at(begin + share * seconds), plant.history.at(start + share * seconds)
+        one, other = (
+            tank.history.interpolate_pose(begin + share * seconds),
+            plant.history.interpolate_pose(start + share * seconds),
+        )
         assert np.linalg.norm(one[:3] - other[:3]) < 2e-6
         assert 2 * math.acos(min(abs(one[3:] @ other[3:]), 1.0)) < math.radians(0.3)
-    assert np.linalg.norm(one[:3] - tank.history.at(begin)[:3]) > 2e-4
+    assert np.linalg.norm(one[:3] - tank.history.interpolate_pose(begin)[:3]) > 2e-4
 
 
 def test_noise_of_many_pieces_has_the_spectrum_of_one_long_recording():
@@ -145,4 +148,4 @@ def test_hours_of_idling_cost_neither_room_nor_accuracy():
     n = round(0.02 * plant.rate)
     early, then = clean(plant, plant.time - 0.02, n), clean(late, late.time - 0.02, n)
     assert np.abs(early - then).max() < 1e-3 * np.ptp(early, axis=1).max()
-    assert np.abs(late.volts(late.played - n, n)).max() < 1.0
+    assert np.abs(late.read_volts(late.played - n, n)).max() < 1.0

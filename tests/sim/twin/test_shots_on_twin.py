@@ -22,7 +22,7 @@ def compiled(bench: Bench, *windows: Actuate | Excite | Rest | Listen) -> Wavefo
 def played(bench: Bench, waveform: Waveform) -> FloatArray:
     """Currents (n_loads, samples) in A from the start of the latest shot on."""
     assert bench.model.wait_until_at_rest(1.0)
-    shot = [entry for entry in bench.model.journal.since() if entry["what"] == "shot"][-1]
+    shot = [entry for entry in bench.model.journal.list_since() if entry["what"] == "shot"][-1]
     first = round((shot["time"] - bench.model.compute_time(0)) * RATE)
     currents = bench.echo.currents[:, first : first + waveform.samples]
     before = bench.echo.currents[:, max(first - 100, 0) : first]
@@ -56,7 +56,7 @@ def test_a_shot_reaches_its_loads_in_its_windows_and_no_other(bench: Bench, no_g
     number = np.rint(1e6 * (heard - np.arange(10)[:, None])).astype(int)
     assert heard.shape == (10, count)
     assert np.all(np.diff(number, axis=1) == 1)  # none lost, none twice
-    shot = [entry for entry in bench.model.journal.since() if entry["what"] == "shot"][-1]
+    shot = [entry for entry in bench.model.journal.list_since() if entry["what"] == "shot"][-1]
     assert number[0, 0] == round((shot["time"] - bench.model.compute_time(0)) * RATE) + first
 
 
@@ -64,7 +64,7 @@ def test_a_shot_that_only_listens_closes_nothing(bench: Bench, no_guard: NoGuard
     heard, _ = bench.card.play(compiled(bench, Listen(4, 100.0)), no_guard)
     assert heard is not None
     assert not bench.echo.currents.any()
-    assert not [e for e in bench.model.journal.since() if e["what"] in ("driven", "closed", "enabled")]
+    assert not [e for e in bench.model.journal.list_since() if e["what"] in ("driven", "closed", "enabled")]
 
 
 def test_the_journal_tells_each_phase_of_each_shot_and_one_drive(bench: Bench, no_guard: NoGuard) -> None:
@@ -72,7 +72,7 @@ def test_the_journal_tells_each_phase_of_each_shot_and_one_drive(bench: Bench, n
     for _ in range(2):
         bench.card.play(waveform, no_guard)
     assert bench.model.wait_until_at_rest(1.0)
-    entries = bench.model.journal.since()
+    entries = bench.model.journal.list_since()
     phases = [(e["phase"], e["shot"]) for e in entries if e["what"] == "phase"]
     assert phases == [("actuation", 1), ("listening", 1), ("actuation", 2), ("listening", 2)]
     for what in ("driven", "closed", "enabled"):

@@ -20,7 +20,7 @@ def block(count=2000):
     return out
 
 
-def test_a_listener_that_does_not_listen_is_hung_up_on(monkeypatch):
+def test_a_listener_that_does_not_read_is_disconnected(monkeypatch):
     monkeypatch.setattr(truth_server, "MAX_WAITING_BLOCKS", 3)
     server = TruthServer("127.0.0.1", 0, {})
     with socket.create_connection(("127.0.0.1", server.port)) as deaf:

@@ -15,11 +15,10 @@ from smolbot.bench.calibration.device import (
     CalibrationPlan,
     DrivePoint,
     SweepPoint,
-    Uncertainty,
     calibrate,
     compute_weighted_mean,
 )
-from smolbot.config.device import load_device
+from smolbot.config.device import DeviceUncertainty, load_device
 from smolbot.config.rig import load_rig
 from smolbot.config.robot import load_robot
 from smolbot.errors import InputError, SignalLostError
@@ -108,7 +107,9 @@ def test_the_command_writes_a_device_file_that_names_its_robot(tmp_path, monkeyp
         better = replace(device, frequency=103.61, damping=32.5, theta_max=0.32)
         sweep = (SweepPoint(103.0, 103.61, 0.01, 1e-7), SweepPoint(104.0, 103.61, 0.01, 2e-7))
         drives = (DrivePoint(1.0, 0.1, 0.001), DrivePoint(3.0, 0.32, 0.001))
-        return Calibration(better, Uncertainty(0.003, 0.01, 0.2), device, height, sweep, drives, 500.0, reached, 9)
+        return Calibration(
+            better, DeviceUncertainty(0.003, 0.01, 0.2), device, height, sweep, drives, 500.0, reached, 9
+        )
 
     monkeypatch.setattr("smolbot.functions.calibrate.calibrate_device", told_beforehand)
     out = tmp_path / "device.toml"

@@ -138,7 +138,7 @@ def test_edges_are_found_to_a_few_hundredths_of_a_millisecond(closes, opens, con
 
 def test_no_field_is_no_edge():
     edges = find_edges(stepped(0.0, 0.0, 3e-3, 0.0, 0.0 * PATTERN, 2.4e-10), 0.03)
-    assert not edges.heard
+    assert not edges.detected
     assert edges.closes is None
 
 

@@ -26,8 +26,10 @@ def covariance_of(n, seed):
 
 def written(path, covariance):
     section = load_rig("tank").sections.sensors
-    left = UncertaintySection.of(covariance, 300)
-    write_sensors(path, SensorsFile(rig="tank", date=datetime.date(2026, 11, 25), sensors=section, uncertainty=left))
+    uncertainty = UncertaintySection.from_covariance(covariance, 300)
+    write_sensors(
+        path, SensorsFile(rig="tank", date=datetime.date(2026, 11, 25), sensors=section, uncertainty=uncertainty)
+    )
     return {"sensors.calibrated": str(path)}
 
 

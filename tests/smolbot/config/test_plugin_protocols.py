@@ -67,9 +67,9 @@ class Screw(Wrapping):
 def test_what_a_law_may_leave_out_is_looked_for_by_nobody(plug_in):
     plug_in("controllers", "ours", Wrapping)
     mission = load_mission("line", settings={**SHORT, "controller.law": "ours"})
-    seen = preview(mission)
-    assert seen.go
-    assert seen.reach is None
+    shown = preview(mission)
+    assert shown.go
+    assert shown.force_profile is None
     assert robot_kinds(Wrapping) == ("gradient",)
     assert smolbot.run(mission, seed=3).status == "completed"
 
@@ -84,18 +84,18 @@ class Untold(Wrapping):
 def test_a_slow_law_that_tells_no_progress_is_not_taken_for_one_that_stalls(plug_in):
     plug_in("controllers", "untold", Untold)
     settings = {"controller.law": "untold", "controller.gains.force_un": "12", "stop.max_duration_s": "600"}
-    seen = preview(load_mission("line", settings=settings))
-    assert seen.cycles > STALL_CYCLES
-    assert seen.go, seen.reasons
+    shown = preview(load_mission("line", settings=settings))
+    assert shown.cycles > STALL_CYCLES
+    assert shown.go, preview.reasons
 
 
 def test_a_helical_law_that_does_not_tell_its_bend_is_previewed_all_the_same(plug_in):
     plug_in("controllers", "screw", Screw)
     mission, theirs = (load_mission("s_path", settings={"controller.law": law}) for law in ("screw", "helical"))
-    seen, other = preview_helix(mission), preview_helix(theirs)
-    assert seen.go
-    assert seen.radius is None
-    assert np.array_equal(seen.trail, other.trail)
+    shown, other = preview_helix(mission), preview_helix(theirs)
+    assert shown.go
+    assert shown.min_radius is None
+    assert np.array_equal(shown.trail, other.trail)
     run = smolbot.run(mission, seed=1, witness=False)
     assert run.status == "completed", run.stop_reason
 

@@ -28,7 +28,7 @@ from smolbot.config.units import SI, SIVector
 )
 def test_the_unit_at_the_end_of_a_key_says_what_it_is_in_si(key, value, expected):
     section = type("Section", (), {key: value, "one": SI(key)})()
-    assert section.sample_factor == pytest.approx(expected, rel=1e-15)
+    assert section.one == pytest.approx(expected, rel=1e-15)
     many = type("Section", (), {key: (value, -value), "both": SIVector(key)})()
     np.testing.assert_allclose(many.both, [expected, -expected], rtol=1e-15)
 

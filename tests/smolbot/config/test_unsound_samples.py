@@ -31,7 +31,7 @@ def heard():
     """Volts of three shots (3, 10, n), and of three quiet seconds (3, 10, n), from the simulated bench."""
     bench = StaticBench(load_rig("tank"), load_robot("gradient").device, 1)
     shots = [bench.record(1e-3 * np.array(place), TURN, 6).field for place in PLACES]
-    quiet = [bench.quiet(1.0)[0].field for _ in range(3)]
+    quiet = [bench.record_background(1.0)[0].field for _ in range(3)]
     return 1e6 * np.stack(shots), 1e6 * np.stack(quiet)
 
 
@@ -193,7 +193,7 @@ def test_sound_channels_are_not_taken_for_stuck_whatever_the_converter(bits):
     rig = load_rig("tank", {"sensors.adc_bits": str(bits)})
     bench = StaticBench(rig, load_robot("gradient").device, 3)
     heard = [bench.record(np.array([0.0, 0.0, z]), TURN, n) for z in (0.05, 0.1, 0.2) for n in (1, 2, 20)]
-    for recording in [*heard, *bench.quiet(1.0)]:
+    for recording in [*heard, *bench.record_background(1.0)]:
         found = find_invalid_channels(1e6 * recording.field, bench.rate, rig)
         assert not found["stuck (constant for a while)"].any()
 

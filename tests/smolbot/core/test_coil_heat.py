@@ -52,7 +52,7 @@ def test_an_undriven_coil_cools_by_e_in_its_time_constant():
     assert after - 25.0 == pytest.approx(60.0 / math.e)
 
 
-def test_over_whole_cycles_a_sine_heats_as_half_its_peak_squared():
+def test_over_complete_cycles_a_sine_heats_as_half_its_peak_squared():
     time_ = np.linspace(0.0, 5 / 103.5, 200001)
     square = np.trapezoid((3.0 * np.sin(2 * np.pi * 103.5 * time_)) ** 2, time_) / time_[-1]
     assert compute_mean_square_currents(Excite((3.0, -2.0), 103.5, 5), 4, 2) == pytest.approx([0, 0, 0, 0, square, 2.0])
@@ -62,14 +62,14 @@ def test_over_whole_cycles_a_sine_heats_as_half_its_peak_squared():
     assert not compute_mean_square_currents(Actuate((0.0,) * 4, 0.1), 4, 2)
 
 
-def test_no_more_copper_is_believed_than_fits_the_winding():
+def test_no_more_copper_is_assumed_than_fits_the_winding():
     honest = compute_winding_heat_capacity(1.0, 200, math.pi * 0.05, 4e-4)
     assert compute_winding_heat_capacity(0.5, 200, math.pi * 0.05, 4e-4) == pytest.approx(2.0 * honest)
     full = compute_winding_heat_capacity(0.01, 200, math.pi * 0.05, 4e-4)
     assert compute_winding_heat_capacity(0.001, 200, math.pi * 0.05, 4e-4) == full
 
 
-def test_the_shipped_coils_weigh_what_their_geometry_says():
+def test_the_shipped_coils_have_the_mass_of_their_geometry():
     stated = load_rig("tank").thermal
     bare = load_rig("tank", {"safety.coils": "{}"}).thermal
     for coil, own in zip(bare[:4], stated[:4]):
@@ -96,7 +96,7 @@ def test_duty_is_the_driven_share_of_the_sliding_time():
         end = start + length
         overlap = np.clip(np.minimum(starts + lengths, end) - np.maximum(starts, end - 3.0), 0.0, None)
         shares.append(float(overlap.sum() / 3.0))
-        assert duty.drive(1, start, end) == pytest.approx(shares[-1])
+        assert duty.add_span(1, start, end) == pytest.approx(shares[-1])
     assert duty.peaks == [0.0, pytest.approx(max(shares))]
 
 
@@ -127,7 +127,7 @@ def test_the_next_run_begins_with_coils_as_the_last_has_left_them_but_for_what_t
 @pytest.mark.parametrize(
     "text", ["", "[]", "{}", '{"time": "x", "temperatures_c": {}}', '{"time": 2e9, "temperatures_c": {"+x": 80}}']
 )
-def test_a_note_that_says_nothing_leaves_coils_cold(tmp_path, text):
+def test_an_unreadable_heat_file_leaves_coils_cold(tmp_path, text):
     (tmp_path / "bench.json").write_text(text)
     found = CoilHeat((COIL,), 25.0)
     HeatMemory(tmp_path / "bench.json", Clock()).restore(found)

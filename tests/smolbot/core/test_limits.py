@@ -164,8 +164,8 @@ def test_a_stage_steers_as_far_as_its_rate_and_a_windows_length_let_it(share):
     for sign in (1.0, -1.0):
         turned = Rotate((3.0 * cos(angle), 3.0 * sign * sin(angle), 0.0), 0.25, 2.0)
         found = STAGE.faults(Shot((NEAR, about(0), turned, about(0, turns=9.0), AWAY)))
-        told = f"The stage steers at most 80.2° within 8 s; got {share * 80.214:.1f}°."
-        assert found == ([told] if share > 1.0 else [])
+        expected_fault = f"The stage steers at most 80.2° within 8 s; got {share * 80.214:.1f}°."
+        assert found == ([expected_fault] if share > 1.0 else [])
 
 
 def test_an_axis_that_is_set_while_the_magnet_is_away_is_there_from_the_start():
@@ -189,14 +189,14 @@ def test_a_magnet_turns_forward_and_no_faster_than_it_may(frequency, fine):
     assert (STAGE.faults(Shot((NEAR, turned))) == []) == fine
 
 
-def test_a_rig_whose_file_says_nothing_of_a_stage_has_none_and_one_without_a_rate_cannot_steer():
+def test_a_rig_without_a_stage_in_its_file_has_none_and_one_without_a_rate_cannot_steer():
     plain = Limits((), 8.0)
     assert "no rotating magnet" in plain.faults(Shot((about(0),)), magnet_near=True)[0]
     fixed = Limits((), 8.0, max_rotation_frequency=0.25)
     assert "at most 0.0° within 4 s; got 10.0°" in fixed.faults(Shot((NEAR, about(0), about(10))))[0]
 
 
-def test_unless_told_otherwise_the_magnet_is_away():
+def test_by_default_the_magnet_is_away():
     STAGE.check(Shot((Listen(2, F),)))
     with pytest.raises(InterlockError, match="Rotate needs the actuation magnet near"):
         STAGE.check(Shot((about(0),)))

@@ -83,7 +83,7 @@ def test_the_error_is_the_world_turn_that_takes_truth_to_estimate(truth, error):
 
 
 @pytest.mark.parametrize("order", ["xy", "yx", "yz", "zy", "zx", "xz"])
-def test_axes_end_up_where_they_are_told(order):
+def test_axes_point_along_the_given_directions(order):
     first, second = np.array([0.2, -0.9, 0.4]), np.array([1.0, 0.3, 0.3])
     rotation = matrix_from_quaternion(quaternion_from_axes(first, second, order))
     assert rotation[:, "xyz".index(order[0])] == pytest.approx(first / np.linalg.norm(first))

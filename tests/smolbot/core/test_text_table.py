@@ -1,4 +1,4 @@
-"""Tables in text: what is read alike, and where a fault is told."""
+"""Tables in text: what is read alike, and where a fault is reported."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_an_optical_track_of_another_program_may_leave_sigma_and_share_out(tmp_p
     assert track.positions[1].tolist() == [0.01, 0.03, 0.06]
 
 
-def test_bytes_that_are_no_text_are_told_of(tmp_path):
+def test_bytes_that_are_no_text_are_reported(tmp_path):
     (tmp_path / "t.csv").write_bytes(b"x,y\n\xff\xfe0,1\n")
     with pytest.raises(InputError, match=r"t\.csv: cannot be read as text"):
         read_table(tmp_path / "t.csv")

@@ -183,7 +183,7 @@ class Interrupt:
             raise KeyboardInterrupt
 
 
-def test_ctrl_c_stops_cleanly_and_leaves_a_complete_folder(plain, tmp_path):
+def test_ctrl_c_stops_cleanly_with_a_complete_folder(plain, tmp_path):
     run = fly(plain, 3, folder=RunFolder(tmp_path / "run"), make_listeners=lambda _: (Interrupt(5),))
     assert run.status == "stopped"
     assert "Ctrl-C" in run.stop_reason
@@ -194,7 +194,7 @@ def test_ctrl_c_stops_cleanly_and_leaves_a_complete_folder(plain, tmp_path):
 
 @dataclass
 class Wrapped:
-    """A rig around the tank that may spoil what is heard, fail, and notes what it was told."""
+    """A rig around the tank that may spoil recordings, may fail, and notes what it played."""
 
     inner: object
     spoil: object = None
@@ -210,8 +210,9 @@ class Wrapped:
         self.played += shot.mode != "quiet"
         if self.fail_at == self.played:
             raise self.error
-        heard = self.inner.play(shot)
-        return self.spoil(self.played, heard) if self.spoil and heard is not None and heard.drive else heard
+        recording = self.inner.play(shot)
+        spoils = self.spoil and recording is not None and recording.drive
+        return self.spoil(self.played, recording) if spoils else recording
 
     def stop(self):
         self.stops += 1
@@ -241,9 +242,9 @@ def fly_wrapped(monkeypatch):
     return go
 
 
-def noise_only(heard: Recording, number: int) -> Recording:
-    noise = 1e-10 * np.random.default_rng(number).normal(size=heard.field.shape)
-    return replace(heard, field=noise)
+def noise_only(recording: Recording, number: int) -> Recording:
+    noise = 1e-10 * np.random.default_rng(number).normal(size=recording.field.shape)
+    return replace(recording, field=noise)
 
 
 @pytest.mark.parametrize("error", [RigError("the amplifier tripped"), InterlockError("Nothing was played.")])
@@ -265,7 +266,7 @@ def test_a_rig_that_fails_at_once_still_leaves_a_folder(plain, fly_wrapped, tmp_
 
 
 def test_a_signal_that_was_never_there_is_searched_for_and_then_given_up(plain, fly_wrapped):
-    run, _ = fly_wrapped(plain, spoil=lambda n, heard: noise_only(heard, n))
+    run, _ = fly_wrapped(plain, spoil=lambda n, recording: noise_only(recording, n))
     assert run.status == "lost"
     assert "never found" in run.stop_reason
     assert len(run.cycles) == plain.sections.stop.lost_shots
@@ -278,7 +279,7 @@ def test_a_signal_that_was_never_there_is_searched_for_and_then_given_up(plain, 
 
 
 def test_a_signal_that_is_lost_stops_the_pulling_and_then_the_mission(plain, fly_wrapped):
-    run, _ = fly_wrapped(plain, spoil=lambda n, heard: heard if n <= 8 else noise_only(heard, n))
+    run, _ = fly_wrapped(plain, spoil=lambda n, recording: recording if n <= 8 else noise_only(recording, n))
     assert run.status == "lost"
     assert "was lost" in run.stop_reason
     modes = [c.shot.mode for c in run.cycles]
@@ -290,7 +291,7 @@ def test_a_signal_that_is_lost_stops_the_pulling_and_then_the_mission(plain, fly
 
 
 def test_a_signal_that_comes_back_is_found_again_and_the_mission_completes(short, fly_wrapped):
-    run, _ = fly_wrapped(short, spoil=lambda n, heard: noise_only(heard, n) if 8 < n <= 16 else heard)
+    run, _ = fly_wrapped(short, spoil=lambda n, recording: noise_only(recording, n) if 8 < n <= 16 else recording)
     assert run.status == "completed"
     modes = [c.shot.mode for c in run.cycles]
     assert "lost" in modes
@@ -298,8 +299,8 @@ def test_a_signal_that_comes_back_is_found_again_and_the_mission_completes(short
 
 
 def test_a_short_glitch_of_the_sensors_is_flown_through(plain, fly_wrapped):
-    def saturate(n, heard):
-        return replace(heard, saturated=np.ones(10, dtype=bool)) if n in (9, 14) else heard
+    def saturate(n, recording):
+        return replace(recording, saturated=np.ones(10, dtype=bool)) if n in (9, 14) else recording
 
     run, _ = fly_wrapped(plain, spoil=saturate)
     assert run.status == "completed"
@@ -323,8 +324,8 @@ def test_pause_holds_the_robot_and_resume_lets_it_go_on(plain):
     assert run.status == "completed"
     assert modes[10:20] == ["hold"] * 10
     assert modes[20] == "track"
-    told = [(event.what, modes_before(run, event.time)) for event in run.events if event.what in ("paused", "resumed")]
-    assert told == [("paused", 10), ("resumed", 20)]
+    noted = [(event.what, modes_before(run, event.time)) for event in run.events if event.what in ("paused", "resumed")]
+    assert noted == [("paused", 10), ("resumed", 20)]
 
 
 def modes_before(run, time):
@@ -348,27 +349,27 @@ def test_time_in_a_pause_does_not_count_towards_the_longest_duration(plain):
     assert run.duration - run.begun > held
 
 
-def test_a_law_that_learns_is_told_of_a_command_that_was_not_played(plain):
+def test_a_controller_that_learns_is_notified_of_a_command_that_was_not_played(plain):
     rig = load_world("tank", plain.rig.document).open(plain.rig, plain.robot, plain.start, 3)
-    told: list[int] = []
+    noted: list[int] = []
 
     def pause(record):
         loop.pause.held = 10 <= len(loop.run.cycles) < 20
 
     loop = make_loop(rig, plain, (pause,))
-    loop.pilot.controller.unplayed = lambda: told.append(len(loop.run.cycles))
+    loop.pilot.controller.unplayed = lambda: noted.append(len(loop.run.cycles))
     loop.fly()
     rig.close()
-    assert told == list(range(10, 20))
+    assert noted == list(range(10, 20))
 
 
 def test_a_sensor_that_becomes_noisy_on_the_way_is_found_and_weighed_less(fly_wrapped):
     rng = np.random.default_rng(0)
 
-    def noisy(n, heard):
-        field = heard.field.copy()
+    def noisy(n, recording):
+        field = recording.field.copy()
         field[5] += 4e-9 * rng.standard_normal(field.shape[1])
-        return replace(heard, field=field)
+        return replace(recording, field=field)
 
     settings = {"path.points_mm": "[[-5.0, 0.0], [5.0, 0.0]]", "rig.tank.mismatch.scale": "0"}
     run, _ = fly_wrapped(load_steering_mission("line", settings=SHORT | settings), spoil=noisy)
@@ -397,28 +398,28 @@ class RigContract:
         assert field_.shape[1] == 3
         assert np.isfinite(field_).all()
 
-    def test_a_recording_has_every_sensor_and_the_whole_window(self, rig):
+    def test_a_recording_has_every_sensor_and_the_complete_window(self, rig):
         for half_periods in (1, 2, 20):
             listen = Listen(half_periods, 103.5)
-            heard = rig.play(replace(self.CYCLE, windows=(*self.CYCLE.windows[:2], listen)))
-            assert heard.field.shape == (len(rig.sensors), round(listen.duration * heard.sample_rate))
-            assert heard.saturated.shape == (len(rig.sensors),)
-            assert heard.drive == self.CYCLE.excite
-            assert heard.time_since_drive == pytest.approx(0.02, abs=1e-4)
+            recording = rig.play(replace(self.CYCLE, windows=(*self.CYCLE.windows[:2], listen)))
+            assert recording.field.shape == (len(rig.sensors), round(listen.duration * recording.sample_rate))
+            assert recording.saturated.shape == (len(rig.sensors),)
+            assert recording.drive == self.CYCLE.excite
+            assert recording.time_since_drive == pytest.approx(0.02, abs=1e-4)
 
     def test_a_shot_that_listens_to_nothing_returns_none(self, rig):
         assert rig.play(Shot((Actuate((1.0, 0, 0, 0), 0.01),))) is None
 
-    def test_a_quiet_recording_follows_no_drive(self, rig):
-        heard = rig.play(Shot((Listen(2, 103.5),), mode="quiet"))
-        assert heard.drive is None
-        assert heard.time_since_drive == np.inf
+    def test_a_noise_recording_follows_no_drive(self, rig):
+        recording = rig.play(Shot((Listen(2, 103.5),), mode="quiet"))
+        assert recording.drive is None
+        assert recording.time_since_drive == np.inf
 
     def test_its_clock_goes_on_by_at_least_what_was_played(self, rig):
         before = rig.now()
-        heard = rig.play(self.CYCLE)
+        recording = rig.play(self.CYCLE)
         assert rig.now() >= before + self.CYCLE.duration - 1e-9
-        assert before < heard.clock < heard.middle < rig.now()
+        assert before < recording.clock < recording.middle < rig.now()
 
     @pytest.mark.parametrize(
         "windows",

@@ -1,4 +1,4 @@
-"""What a flight learns of its device has one owner: estimator and resonance filter have it at once, shots later."""
+"""The assumed device has one owner: estimator and resonance filter use a learned value at once, shots later."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ def test_a_learned_magnet_is_scheduled_with_the_next_retune_and_changes_no_inert
 
 
 def test_in_a_flight_all_parts_have_the_same_belief_and_shots_are_made_for_the_last_retune():
-    """Sensors, and with them the moment, are learned before and after a retune of what was believed 0.4 Hz off."""
+    """Sensors, and with them the moment, are learned before and after a retune of a frequency that was 0.4 Hz off."""
     mission = load_mission("line", settings={"localization.quiet_s": "2.0", "stop.max_duration_s": "15"})
     mission.robot.calibrated = replace(mission.robot.device, frequency=103.9)
     with closing(open_rig(load_mission("line"), 3)) as rig, make_loop(rig, mission) as loop:
         belief = loop.scheduler.belief
         while not loop.done:
-            scheduled, told = belief.scheduled, len(loop.events)
+            scheduled, n_events = belief.scheduled, len(loop.events)
             record = loop.step()
             assert record.shot.listen.frequency == scheduled.frequency
             assert loop.resonance.belief is belief
             assert loop.localizer.device is belief.device
-            retuned = any(event.what == "device retuned" for event in loop.events[told:])
+            retuned = any(event.what == "device retuned" for event in loop.events[n_events:])
             assert belief.scheduled is (belief.device if retuned else scheduled)
     happened = [event.what for event in loop.events if event.what in ("array learned", "device retuned")]
     assert happened[0] == happened[-1] == "array learned"

@@ -24,14 +24,14 @@ def test_the_share_of_each_coil_is_the_driven_part_of_the_time_just_past(pulls, 
     for coil, pause, length in pulls:
         start, clock = clock + pause, clock + pause + length
         spans[coil].append((start, clock))
-        share = duty.drive(coil, start, clock)
+        share = duty.add_span(coil, start, clock)
         assert share == pytest.approx(driven_within(spans[coil], clock - window, clock) / window, abs=1e-9)
         most[coil] = max(most[coil], share)
     assert duty.peaks == most
-    assert duty.names == ("+x", "-x")
+    assert duty.coil_names == ("+x", "-x")
 
 
-def test_a_latch_is_open_until_somebody_shuts_it_and_a_run_that_is_over_is_another_thing():
+def test_a_latch_is_not_tripped_until_somebody_trips_it_and_the_end_of_a_run_does_not_trip_it():
     latch = Latch()
     assert (latch.tripped, latch.over, latch.reason, latch.ending) == (False, False, "", "failed")
     latch.end()
@@ -41,7 +41,7 @@ def test_a_latch_is_open_until_somebody_shuts_it_and_a_run_that_is_over_is_anoth
     assert (latch.tripped, latch.reason, latch.ending) == (True, "too hot", "failed")
 
 
-def test_a_signal_handler_shuts_without_halting_what_it_may_have_interrupted():
+def test_a_signal_handler_trips_the_latch_without_calling_the_halt_that_it_may_have_interrupted():
     latch, halted = Latch(), []
     latch.bind(lambda: halted.append("rig"))
     latch.bind(lambda: halted.append("supply"))
@@ -53,6 +53,6 @@ def test_a_signal_handler_shuts_without_halting_what_it_may_have_interrupted():
     assert (latch.reason, latch.ending) == ("killed", "stopped")
 
 
-def test_the_same_reason_twice_shuts_once():
+def test_the_same_reason_twice_trips_once():
     latch = Latch()
     assert [latch.trip("Ctrl-C", "stopped") for _ in range(2)] == [True, False]

@@ -73,14 +73,14 @@ def test_the_magnet_is_away_and_nothing_turns_while_sensors_listen(flown):
     assert not near
 
 
-def test_axis_and_place_are_known_from_signals_and_no_pose_is_the_twin(flown):
+def test_axis_and_position_are_known_from_signals_and_no_pose_is_flipped(flown):
     summary = flown[0].summary
     assert summary["flips"] == 0
     assert summary["axis_error_deg"]["mean"] < 3.0
     assert summary["localization_error_mm"]["mean"] < 1.0
 
 
-def test_the_folder_tells_what_was_drawn_and_shows_the_run(flown):
+def test_the_folder_has_the_sampled_values_and_a_picture_of_the_run(flown):
     _, out = flown
     drawn = json.loads((out / "provenance.json").read_text())["world"]["carrier"]
     assert {"strength", "viscosity", "pitch", "magnet_place", "steering", "home"} <= set(drawn)
@@ -96,13 +96,13 @@ def test_the_witness_changes_nothing():
             np.testing.assert_array_equal(a.pose.position, b.pose.position)
 
 
-def test_preview_says_go_and_counts_turns_and_pauses():
+def test_preview_reports_go_and_counts_turns_and_pauses():
     seen = preview_helix(s_path())
     assert seen.go
     assert len(seen.turns) >= 8
     assert sum(seen.turns) * helix().advance == pytest.approx(seen.length + 7e-3, rel=0.05)
     assert seen.torque_margin.min() > 1.0
-    assert seen.radius < seen.bend
+    assert seen.min_radius < seen.tightest_radius
 
 
 def test_preview_refuses_a_hairpin_and_a_gel_that_holds_the_robot():
@@ -131,9 +131,9 @@ def test_the_preview_command_exits_by_its_verdict(monkeypatch, capsys):
     with pytest.raises(SystemExit) as ended:
         command_line.main()
     assert ended.value.code == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["go"]
-    assert told["pauses"] == len(told["turns"])
+    output = json.loads(capsys.readouterr().out)
+    assert output["go"]
+    assert output["pauses"] == len(output["turns"])
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,7 @@ def test_the_bend_of_a_circle_is_its_radius():
     assert compute_tightest_bend(circle) == pytest.approx(8e-3, rel=0.02)
 
 
-def heard(time, position, roll=0.0):
+def located(time, position, roll=0.0):
     turned = multiply_quaternions(ACROSS, quaternion_from_rotation_vector(np.array([0.0, 0.0, roll])))
     return Pose(time, np.asarray(position), turned, np.diag([3e-5] * 3 + [5e-3] * 3) ** 2)
 
@@ -176,7 +176,7 @@ def test_a_tracked_helix_goes_with_its_turns_forgets_its_roll_and_keeps_its_plac
     start = np.array([-3e-3, 0.0, 0.0495])
     listen = Listen(20, 181.0)
     for i in range(3):
-        tracker.update(Shot((listen,), start=0.1 * i), heard(0.1 * i, start))
+        tracker.update(Shot((listen,), start=0.1 * i), located(0.1 * i, start))
     assert not tracker.orientation_uncertain
     shot = Shot((MoveMagnet("near", 10.0), Rotate((-1.0, 0, 0), 0.25, 4.0), MoveMagnet("away", 10.0)), start=1.0)
     tracker.update(shot, None)
@@ -184,7 +184,7 @@ def test_a_tracked_helix_goes_with_its_turns_forgets_its_roll_and_keeps_its_plac
     assert tracker.pose.position[0] - start[0] == pytest.approx(4 * helix().advance, rel=0.05)
     assert tracker.orientation_uncertain  # its roll may be anything now: a fit has to start from nothing
     found = start + np.array([4.3e-3, 0.2e-3, 0.0])
-    tracker.update(Shot((listen,), start=40.0), heard(40.0, found, roll=2.6))
+    tracker.update(Shot((listen,), start=40.0), located(40.0, found, roll=2.6))
     assert tracker.misses == 0
     np.testing.assert_allclose(tracker.pose.position, found, atol=1e-4)
     before = tracker.pose_at(40.1)
@@ -196,16 +196,16 @@ def test_a_step_out_is_no_outlier_to_the_tracker():
     tracker = Tracker(helix(), s_path().robot.device, None)
     place = np.array([-3e-3, 0.0, 0.0495])
     for i in range(3):
-        tracker.update(Shot((Listen(20, 181.0),), start=0.1 * i), heard(0.1 * i, place))
+        tracker.update(Shot((Listen(20, 181.0),), start=0.1 * i), located(0.1 * i, place))
     shot = Shot((MoveMagnet("near", 10.0), Rotate((-1.0, 0, 0), 0.25, 6.0), MoveMagnet("away", 10.0)), start=1.0)
     tracker.update(shot, None)
-    tracker.update(Shot((Listen(20, 181.0),), start=50.0), heard(50.0, place, roll=-2.0))
+    tracker.update(Shot((Listen(20, 181.0),), start=50.0), located(50.0, place, roll=-2.0))
     assert tracker.misses == 0
     np.testing.assert_allclose(tracker.pose.position, place, atol=1e-4)
 
 
 @pytest.mark.parametrize("tilt", [-0.7, 0.2, 0.9])
-def test_believed_turns_there_and_back_lead_back_and_stay_between_the_plates(tilt):
+def test_predicted_turns_forward_and_back_return_and_stay_between_the_plates(tilt):
     state = np.array([2e-3, -4e-3, 0.048, 0.3, 0.0, np.nan])
     there = kernels.advance_screw(helix().body, helix().factors, state, 0.3 + tilt, 1.0, 6.0, 0.25)
     for end in (-1, 1):
@@ -219,7 +219,7 @@ def test_believed_turns_there_and_back_lead_back_and_stay_between_the_plates(til
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_letter_s_is_followed_in_drawn_gels(seed):
+def test_the_letter_s_is_followed_in_sampled_gels(seed):
     result = run("s_path", seed=seed)
     assert result.status == "completed"
     assert result.summary["tracking_error_mm"]["rms"] < 0.7

@@ -26,7 +26,7 @@ def test_a_correction_is_the_textbook_s(m):
     assert np.linalg.eigvalsh(after).min() > 0.0
 
 
-def test_a_measurement_that_is_no_covariance_is_infinitely_far():
+def test_a_measurement_without_a_valid_covariance_is_infinitely_far():
     distance, change, after = update(np.eye(10), -2.0 * np.eye(6), np.ones(6))
     assert distance == np.inf
     assert np.all(change == 0.0)

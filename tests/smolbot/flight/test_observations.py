@@ -39,7 +39,7 @@ def smolbot(monkeypatch, capsys, tmp_path):
     return call
 
 
-QUICK = {  # a hurried hand, so that a test sees the whole bend
+QUICK = {  # a fast motion, so that a short test covers the complete bend
     "rig.tank.hand.rest_s": "1.3",
     "rig.tank.hand.speed_mm_s": "30.0",
     "rig.tank.hand.turn_deg_s": "150.0",
@@ -63,19 +63,19 @@ def marked():
     """Three measurements of a marker, with every recording that was made."""
     settings = {"observe.measurements": "3", "localization.quiet_s": "1.0"}
     mission = load_mission("brain_marker", None, settings)
-    heard = []
+    recorded = []
     with TankWorld.open(mission.rig, mission.robot, mission.start, 5) as rig:
         play = rig.play
 
         def listen(shot):
             recording = play(shot)
-            heard.append((shot, recording))
+            recorded.append((shot, recording))
             return recording
 
         rig.play = listen
         loop = make_loop(rig, mission)
         flown = loop.fly()
-    return mission, loop, flown, heard
+    return mission, loop, flown, recorded
 
 
 def test_a_bend_of_more_than_half_a_turn_is_followed_without_a_gap(bend):
@@ -88,17 +88,17 @@ def test_a_bend_of_more_than_half_a_turn_is_followed_without_a_gap(bend):
     assert bend.summary["pose_rate_hz"] > 8.0
 
 
-@pytest.mark.parametrize("led", [True, False])
-def test_what_a_hand_does_to_the_residuals_is_not_taken_for_noise(led):
-    """A tip that moves while it is heard leaves residuals. Nobody told, the loop believes that sensors became noisy."""
+@pytest.mark.parametrize("guided", [True, False])
+def test_residuals_of_an_externally_guided_device_do_not_change_the_noise_model(guided):
+    """A tip that moves during a recording causes residuals, which otherwise pass for noisier sensors."""
     mission = load_mission("endoscope", None, {"observe.duration_s": "10", "localization.quiet_s": "2"})
     with TankWorld.open(mission.rig, mission.robot, mission.start, 3) as rig:
         loop = make_loop(rig, mission)
-        assert loop.led
-        loop.led = led
+        assert loop.externally_guided
+        loop.guided = guided
         flown = loop.fly()
     assert flown.status == "completed"
-    assert ("noise refreshed" not in {event.what for event in flown.events}) == led
+    assert ("noise refreshed" not in {event.what for event in flown.events}) == guided
 
 
 def test_excitation_turns_with_the_tip(bend):
@@ -136,14 +136,14 @@ def test_doubling_every_mismatch_changes_the_error():
     assert 1.3 < twice / once < 3.0
 
 
-def test_measurements_are_what_a_cold_start_finds_in_each_recording_alone(marked):
-    mission, loop, flown, heard = marked
+def test_measurements_are_cold_starts_in_each_recording_alone(marked):
+    mission, loop, flown, recorded = marked
     assert flown.status == "completed"
     alone = Localizer(loop.rig.sensors, mission.robot.device, loop.localizer.noise, volume=loop.localizer.volume)
     cycles = [c for c in flown.cycles if c.shot.mode == "hold"]
     assert len(cycles) == 3
-    recordings = {shot.start: recording for shot, recording in heard}
-    for cycle in reversed(cycles):  # in another order: none leans on the one before
+    recordings = {shot.start: recording for shot, recording in recorded}
+    for cycle in reversed(cycles):  # in another order: none uses the one before
         pose = alone.locate(recordings[cycle.shot.start])
         assert np.array_equal(pose.position, cycle.pose.position)
         assert np.array_equal(pose.orientation, cycle.pose.orientation)
@@ -198,16 +198,16 @@ def test_a_verdict_names_every_limit_that_was_missed(bend):
     assert "fewer than 50" in reasons[1]
 
 
-def test_a_run_from_the_command_line_leaves_its_figures_and_says_no_where_they_are_missed(smolbot, tmp_path):
+def test_a_run_from_the_command_line_writes_its_figures_and_fails_where_they_are_missed(smolbot, tmp_path):
     quick = ["--set", "observe.measurements=2", "--set", "localization.quiet_s=1.0"]
     strict = ["--set", "verdict.max_sigma_mm=0.0001"]
     code, out, err = smolbot(
         "run", "brain_marker", "--seed", "2", "--out", "one", "--json", "--no-report", *quick, *strict
     )
     assert code == 1
-    told = json.loads(out)
-    assert told["verdict_reasons"][0].startswith("sigma ")
-    assert told["measurements"] == 2
+    message = json.loads(out)
+    assert message["verdict_reasons"][0].startswith("sigma ")
+    assert message["measurements"] == 2
     assert "in space" in err
     drawn = json.loads((tmp_path / "one" / "provenance.json").read_text())["world"]
     assert len(drawn["carrier"]["place"]["position"]) == 3
@@ -227,7 +227,7 @@ def test_simulate_flies_every_seed_and_writes_what_an_observation_has(smolbot, t
     assert (tmp_path / "all" / "flights.png").stat().st_size > 20000
 
 
-def test_preview_times_an_observation_and_says_no_where_it_is_too_slow(smolbot):
+def test_preview_times_an_observation_and_refuses_one_that_is_too_slow(smolbot):
     code, out, _ = smolbot("preview", "endoscope", "--json")
     assert code == 0
     assert json.loads(out)["loop_rate_hz"] > 8.0
@@ -244,7 +244,7 @@ def test_a_copied_observation_can_be_carried_out_as_ones_own(smolbot, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("mission", "settings", "told"),
+    ("mission", "settings", "message"),
     [
         ("endoscope", {"controller.law": '"predictive"'}, "[observe] only looks, and [controller] steers"),
         ("endoscope", {"path.glyph": '"R"'}, "[observe] only looks, and [path] steers"),
@@ -265,10 +265,10 @@ def test_a_copied_observation_can_be_carried_out_as_ones_own(smolbot, tmp_path):
         ("r_small", {"robot": '"marker"'}, "nothing moves"),
     ],
 )
-def test_what_does_not_go_together_is_told_before_anything_moves(mission, settings, told):
+def test_settings_that_contradict_are_refused_before_anything_moves(mission, settings, message):
     with pytest.raises(ConfigError) as caught:
         load_mission(mission, None, settings)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_a_mission_that_only_looks_cannot_be_tuned_nor_flown_on_the_reduced_plant(smolbot):

@@ -23,7 +23,7 @@ def short():
 
 @pytest.fixture
 def flying(short):
-    """A loop on an open tank that notes how often it was told to stop."""
+    """A loop on an open tank that notes each stop."""
     with closing(open_rig(short, 3)) as rig:
         stops, real = [], rig.stop
 
@@ -66,7 +66,7 @@ def test_cycle_by_cycle_it_is_the_flight_of_fly_bit_for_bit(short):
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else "",
 )
-def test_whatever_is_raised_in_the_block_every_output_is_at_zero_and_the_run_says_why(flying, error, status, reason):
+def test_whatever_is_raised_in_the_block_outputs_are_at_zero_and_the_run_has_the_reason(flying, error, status, reason):
     def own_loop():
         with flying:
             while not flying.done:
@@ -115,7 +115,7 @@ def test_an_error_while_a_run_is_ended_leaves_outputs_at_zero_too(flying, monkey
     def broken():
         raise OSError("no room to keep the heat of the coils")
 
-    monkeypatch.setattr(flying.safety, "end_window", broken)
+    monkeypatch.setattr(flying.safety, "end", broken)
 
     def own_loop():
         with flying:

@@ -31,17 +31,17 @@ def test_however_quick_the_coils_no_shot_listens_before_the_rig_lets_it(line, al
     belief = DeviceBelief(along_device)
     scheduler = Scheduler(Cycle(), limits, belief, lambda _: 1e-4 * np.eye(3)[:2], lambda: 0.0)
     array = SensorArray(np.zeros((3, 3)), np.eye(3))
-    sightings = SyntheticLocalizer(
+    localizer = SyntheticLocalizer(
         array, along_device, SearchVolume((-1, -1, -1), (1, 1, 1), spacing=1.0), time_constants
     )
-    told = []
+    events = []
     first = Preparation(
-        sightings, scheduler, PreparationSettings(0.0, 50e3, learn_ring_down=True), lambda shot: None, lambda: 0.0,
-        lambda time, what, detail: told.append((what, detail["ring_down_ms"])),
+        localizer, scheduler, PreparationSettings(0.0, 50e3, learn_ring_down=True), lambda shot: None, lambda: 0.0,
+        lambda time, what, detail: events.append((what, detail["ring_down_ms"])),
     )  # fmt: skip
     first.learn()
     shot = scheduler.next(Command(None), Unseen())
     assert limits.faults(shot) == []
     waits = next(window.duration for window in shot.windows if isinstance(window, RingDown))
     assert waits == pytest.approx(max(5e-3, SEPARABLE_AFTER * max(time_constants)))
-    assert told == [("ring-down learned", pytest.approx(1e3 * waits))]
+    assert events == [("ring-down learned", pytest.approx(1e3 * waits))]

@@ -61,7 +61,7 @@ def test_a_shipped_mission_is_a_go(name):
     assert seen.length == pytest.approx(mission.path.length)
     assert np.linalg.norm(seen.trail[-1][:2] - mission.path.points[-1][:2]) <= mission.tolerance
     assert mission.path.project(seen.trail)[1].max() < 3e-3
-    assert seen.reach.force.min() > 1e-6
+    assert seen.force_profile.force.min() > 1e-6
     assert mission.rig.limits.faults(seen.shot) == []
     assert seen.shot.listen is not None
 

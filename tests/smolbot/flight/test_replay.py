@@ -38,15 +38,15 @@ class Missing:
     def __init__(self, rig, lost):
         self._rig = rig
         self._lost = lost
-        self._play_checked = 0
+        self._played = 0
 
     def __getattr__(self, name):
         return getattr(self._rig, name)
 
     def play(self, shot):
-        self._play_checked += 1
-        heard = self._rig.play(shot)
-        return None if self._play_checked in self._lost else heard
+        self._played += 1
+        recording = self._rig.play(shot)
+        return None if self._played in self._lost else recording
 
 
 def test_the_same_settings_give_the_same_poses_bit_for_bit(flown):
@@ -77,7 +77,7 @@ def test_a_flight_that_lost_windows_is_replayed_bit_for_bit(tmp_path, lost):
         world = load_world("tank", mission.rig.document)
         return Missing(world.open(mission.rig, mission.robot, mission.start_placement, seed), lost)
 
-    run = fly(mission, 4, folder=RunFolder(tmp_path / "run"), open_rig=lossy)
+    run = fly(mission, 4, folder=RunFolder(tmp_path / "run"), opener=lossy)
     again = replay(tmp_path / "run")
     assert again.first_difference() is None
     assert len(again.cycles) == len(run.cycles) > 5
@@ -113,14 +113,14 @@ def test_the_papers_estimator_locates_less_well_in_the_same_windows(flown):
     assert again.first_difference().startswith("cycle 0, pose")
 
 
-def test_another_device_is_believed_in(flown, tmp_path):
+def test_another_device_is_used(flown, tmp_path):
     device = load_mission("line").robot.device
     robot = load_mission("line").robot.name
     slower = replace(device, frequency=0.95 * device.frequency)
     write_device(tmp_path / "mine.toml", DeviceConfig(robot, "tank", datetime.date(2026, 11, 25), slower))
     again = replay(flown[1], device=tmp_path / "mine.toml")
     left = [[1.0 - c.pose.r_squared for c in cycles] for cycles in (again.cycles, flown[0].cycles)]
-    assert left[0][0] > 3.0 * left[1][0]  # a device that is thought to ring slower does not fit what was heard
+    assert left[0][0] > 3.0 * left[1][0]  # a device with a lower assumed frequency does not fit the recordings
 
 
 def test_a_device_file_of_another_robot_is_refused(flown, tmp_path):
@@ -131,7 +131,7 @@ def test_a_device_file_of_another_robot_is_refused(flown, tmp_path):
 
 
 @pytest.mark.parametrize("half_periods", [0, 3, -1])
-def test_half_periods_that_were_not_heard_are_refused(flown, half_periods):
+def test_half_periods_that_were_not_recorded_are_refused(flown, half_periods):
     with pytest.raises(InputError, match="must lie within 1 and 2"):
         replay(flown[1], half_periods=half_periods)
 
@@ -139,7 +139,7 @@ def test_half_periods_that_were_not_heard_are_refused(flown, half_periods):
 def test_a_run_of_the_reduced_plant_has_nothing_to_locate_in(tmp_path):
     from sim.reduced.rig import open_reduced
 
-    fly(load_mission("line", None, SHORT), 1, folder=RunFolder(tmp_path / "run"), open_rig=open_reduced)
+    fly(load_mission("line", None, SHORT), 1, folder=RunFolder(tmp_path / "run"), opener=open_reduced)
     with pytest.raises(InputError, match="reduced plant make no signals"):
         replay(tmp_path / "run")
 
@@ -173,7 +173,7 @@ def test_a_figure_that_is_no_picture_is_refused_before_anything_is_played(flown,
     assert not any(tmp_path.iterdir())
 
 
-def test_a_record_that_ends_before_the_first_cycle_says_so(flown, tmp_path):
+def test_a_record_that_ends_before_the_first_cycle_is_reported(flown, tmp_path):
     record = read_run(flown[1])
     record.moments, record.shot_of_cycle, record.whole = [], [], False
     with pytest.raises(InputError, match="no cycle.*cut short"):
@@ -186,6 +186,6 @@ def test_faults_of_a_recorded_mission_name_the_record(flown):
     for document in (mission.document, mission.rig.document, mission.robot.document):
         assert document.path.parent == record.path
     record.begin.files["rig.toml"] += b"nonsense = 1\n"
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as caught:
         record.mission()
-    assert f"{record.path}/rig.toml:" in str(told.value)
+    assert f"{record.path}/rig.toml:" in str(caught.value)

@@ -45,10 +45,10 @@ def test_a_device_that_is_right_is_left_alone(seed):
 def test_an_outlier_and_an_estimate_without_information_are_ignored():
     resonance = ResonanceFilter(DeviceBelief(DEVICE))
     follow(resonance, np.array([103.5, 31.7]), 30)
-    before = resonance.off
+    before = resonance.deviation
     assert resonance.update(4.0, np.array([9.0, 0.0]), COVARIANCE) is None
     assert resonance.update(4.1, np.zeros(2), np.full((2, 2), np.inf)) is None
-    assert (resonance.off == before).all()
+    assert (resonance.deviation == before).all()
 
 
 WANDERS = np.array([0.01, 0.15])
@@ -66,27 +66,27 @@ def test_what_it_claims_to_know_is_what_it_knows_of_a_device_that_wanders(claime
     for i in range(3000):
         truth = truth + WANDERS * rng.standard_normal(2)
         truth[1] = abs(truth[1])
-        believed = np.array([resonance.belief.device.frequency, resonance.belief.device.damping])
-        seen = truth - believed + np.hypot(claimed, OFF_MODEL) * rng.standard_normal(2)
+        assumed = np.array([resonance.belief.device.frequency, resonance.belief.device.damping])
+        seen = truth - assumed + np.hypot(claimed, OFF_MODEL) * rng.standard_normal(2)
         resonance.update(float(i), seen, np.diag(claimed**2))
-        left = truth - [resonance.belief.device.frequency, resonance.belief.device.damping] - resonance.off
+        left = truth - [resonance.belief.device.frequency, resonance.belief.device.damping] - resonance.deviation
         squares.append((left / resonance.sigma) ** 2)
     assert np.mean(squares[100:], axis=0) == pytest.approx([1.0, 1.0], rel=0.25)
 
 
 def textbook(seen, claims, times):
-    """What is believed of a device that nobody replaces: information adds up, and is lost as time goes by."""
+    """The estimate of a device that is not retuned: information adds up, and is lost over time."""
     off, covariance = np.zeros(2), np.diag(START_STD**2)
     for i, (value, claim) in enumerate(zip(seen, claims)):
         wait = max(times[i] - times[i - 1], 0.0) if i else 0.0
         covariance = covariance + np.diag(PROCESS_NOISE_DENSITY**2 * wait)
-        heard = np.linalg.inv(claim + np.diag(MEASUREMENT_FLOOR**2))
-        after = np.linalg.inv(np.linalg.inv(covariance) + heard)
-        off, covariance = off + after @ heard @ (value - off), after
+        measured = np.linalg.inv(claim + np.diag(MEASUREMENT_FLOOR**2))
+        after = np.linalg.inv(np.linalg.inv(covariance) + measured)
+        off, covariance = off + after @ measured @ (value - off), after
     return off, np.sqrt(np.diag(covariance))
 
 
-def test_what_is_believed_is_what_a_textbooks_filter_believes():
+def test_the_track_is_that_of_a_textbook_filter():
     rng, resonance = np.random.default_rng(2), ResonanceFilter(DeviceBelief(DEVICE))
     assert resonance.sigma == pytest.approx(START_STD)
     times = np.cumsum(rng.choice([0.0, 0.11, 2.0], 25))
@@ -97,7 +97,7 @@ def test_what_is_believed_is_what_a_textbooks_filter_believes():
     for i in range(25):
         assert resonance.update(times[i], seen[i], claims[i]) is None
         off, sigma = textbook(seen[: i + 1], claims[: i + 1], times)
-        assert resonance.off == pytest.approx(off)
+        assert resonance.deviation == pytest.approx(off)
         assert resonance.sigma == pytest.approx(sigma)
 
 
@@ -132,9 +132,9 @@ def test_a_device_is_made_anew_where_that_is_worth_its_while(damping, frequency_
 def test_a_new_device_begins_with_no_difference_and_a_damping_is_not_negative():
     resonance = ResonanceFilter(DeviceBelief(replace(DEVICE, damping=0.5)))
     while (device := resonance.update(0.0, np.array([0.0, -2.0]), np.diag([0.1, 0.3]) ** 2)) is None:
-        assert resonance.off[1] < 0.0
+        assert resonance.deviation[1] < 0.0
     assert device.damping == 0.0
-    assert resonance.off.tolist() == [0.0, 0.0]
+    assert resonance.deviation.tolist() == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("entry", [0, 1])
@@ -143,24 +143,24 @@ def test_an_estimate_is_an_outlier_beyond_five_standard_deviations(entry, deviat
     resonance, claim = ResonanceFilter(DeviceBelief(DEVICE)), np.diag([0.4, 4.0]) ** 2
     sigma = np.sqrt(np.diag(claim) + START_STD**2 + MEASUREMENT_FLOOR**2)
     resonance.update(0.0, deviations * sigma * np.eye(2)[entry], claim)
-    assert (resonance.off[entry] > 0.0) == taken
+    assert (resonance.deviation[entry] > 0.0) == taken
 
 
 @pytest.mark.parametrize("off", [np.array([-3.5, 0.0]), np.array([0.0, 18.0])])
-def test_a_line_of_the_mains_or_another_liquid_is_not_taken_for_the_device(off):
+def test_a_mains_line_or_another_liquid_does_not_retune_the_device(off):
     resonance = ResonanceFilter(DeviceBelief(DEVICE))
     assert resonance.update(0.0, off, np.diag([0.05, 0.5]) ** 2) is None
-    assert resonance.off.tolist() == [0.0, 0.0]
+    assert resonance.deviation.tolist() == [0.0, 0.0]
     assert ResonanceFilter(DeviceBelief(DEVICE)).update(0.0, 0.4 * off, np.diag([0.05, 0.5]) ** 2) is not None
 
 
 @pytest.mark.parametrize("entry", [0, 1])
 @pytest.mark.parametrize(("deviations", "replaced"), [(3.9, False), (4.1, True)])
 def test_a_change_has_to_stand_out_by_four_standard_deviations(entry, deviations, replaced):
-    """The estimate is chosen so that what is believed after it is so many claimed standard deviations from nothing."""
+    """The estimate is chosen so that the deviation after it is so many of its standard deviations from zero."""
     resonance, claim = ResonanceFilter(DeviceBelief(DEVICE)), np.diag([0.1, 1.0]) ** 2
-    heard = np.diag(claim) + MEASUREMENT_FLOOR**2
-    gain = START_STD**2 / (START_STD**2 + heard)
+    measured = np.diag(claim) + MEASUREMENT_FLOOR**2
+    gain = START_STD**2 / (START_STD**2 + measured)
     sigma = np.sqrt((1.0 - gain) * START_STD**2)
     device = resonance.update(0.0, (deviations * sigma / gain) * np.eye(2)[entry], claim)
     assert (device is not None) == replaced

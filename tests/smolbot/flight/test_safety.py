@@ -28,7 +28,7 @@ from smolbot.flight.session import fly
 from smolbot.runs.folder import RunFolder
 
 LIMITS = Limits(("+x", "-x"), max_current=8.0, max_rotation_frequency=1.0)
-HEAR = Listen(2, 100.0)
+LISTEN = Listen(2, 100.0)
 SHORT = {"path.points_mm": "[[-1.0, 0.0], [1.5, 0.0]]", "start.offset_mm": "[-0.5, 0.3]", "localization.quiet_s": "4.0"}
 
 
@@ -41,7 +41,7 @@ def a_safety(*, rules=None, duty=None, heat=None, sensors=3, patience=2, broken=
 
 
 def pulling(start=0.0, current=8.0, duration=0.1, mode="track"):
-    return Shot((Actuate((current, 0.0), duration), RingDown(0.02), HEAR), mode, start)
+    return Shot((Actuate((current, 0.0), duration), RingDown(0.02), LISTEN), mode, start)
 
 
 def a_pose(place_mm=(0.0, 0.0, 50.0), sigma_mm=0.1, *, trusted=True):
@@ -49,7 +49,7 @@ def a_pose(place_mm=(0.0, 0.0, 50.0), sigma_mm=0.1, *, trusted=True):
     return Pose(0.0, 1e-3 * np.array(place_mm), np.array([1.0, 0, 0, 0]), covariance, trusted=trusted)
 
 
-def heard(shot, *, noise=1e-9, seed=0, constant=(), saturated=(), early=0.0):
+def make_recording(shot, *, noise=1e-9, seed=0, constant=(), saturated=(), early=0.0):
     field_ = noise * np.random.default_rng(seed).standard_normal((3, 500))
     field_[list(constant)] = 3e-9
     marks = np.isin(np.arange(3), list(saturated))
@@ -60,13 +60,13 @@ def heard(shot, *, noise=1e-9, seed=0, constant=(), saturated=(), early=0.0):
 def stops(safety, shot, now, pose, words):
     """The safety refuses the shot with these words, and from now on every other one with the same."""
     with pytest.raises(SafetyError, match=words):
-        safety.before(shot, now, pose)
+        safety.check_shot(shot, now, pose)
     assert_latched(safety, words)
 
 
 def assert_latched(safety, words):
     with pytest.raises(SafetyError, match=words):
-        safety.before(Shot((HEAR,), "hold", 1e3), 1e3, a_pose())
+        safety.check_shot(Shot((LISTEN,), "hold", 1e3), 1e3, a_pose())
     assert safety.latch.ending == "failed"
 
 
@@ -76,15 +76,15 @@ def test_a_shot_beyond_a_limit_is_stopped_with_coil_value_and_limit():
 
 def test_the_safety_knows_where_the_magnet_is():
     safety = a_safety()
-    safety.before(Shot((MoveMagnet("near", 5.0), Rotate((1, 0, 0), 0.5, 2.0))), 0.0, a_pose())
-    stops(safety, Shot((HEAR,), "hold", 10.0), 10.0, a_pose(), "needs the actuation magnet away")
+    safety.check_shot(Shot((MoveMagnet("near", 5.0), Rotate((1, 0, 0), 0.5, 2.0))), 0.0, a_pose())
+    stops(safety, Shot((LISTEN,), "hold", 10.0), 10.0, a_pose(), "needs the actuation magnet away")
 
 
 def test_a_coil_that_is_driven_for_too_long_is_stopped_by_its_duty():
     safety, now, played = a_safety(rules=SafetyRules(max_duty=0.5)), 0.0, 0
     with pytest.raises(SafetyError, match=r"Coil '\+x' would be driven for 5\d % of 10 s; at most 50 % \(max_duty\)"):
         while True:
-            safety.before(pulling(now, duration=0.13), now, a_pose())
+            safety.check_shot(pulling(now, duration=0.13), now, a_pose())
             now += 0.16
             played += 1
     assert played == math.floor(0.5 * 10.0 / 0.13)
@@ -93,15 +93,15 @@ def test_a_coil_that_is_driven_for_too_long_is_stopped_by_its_duty():
 
 def test_a_coil_never_passes_its_temperature_for_the_shot_that_would_is_not_played():
     coil = ThermalCoil("+x", 1.0, 20.0, 8.0, limit=60.0)
-    safety, now, reckoned = a_safety(heat=CoilHeat((coil, None, None, None), 25.0)), 0.0, 25.0
+    safety, now, expected = a_safety(heat=CoilHeat((coil, None, None, None), 25.0)), 0.0, 25.0
     shot = pulling()
     while True:
-        after = advance_temperature(coil, reckoned, 64.0, 0.1, 25.0)
+        after = advance_temperature(coil, expected, 64.0, 0.1, 25.0)
         if after > 60.0:
             break
-        safety.before(replace(shot, start=now), now, a_pose())
+        safety.check_shot(replace(shot, start=now), now, a_pose())
         now += 0.2
-        reckoned = advance_temperature(coil, after, 0.0, 0.1, 25.0)
+        expected = advance_temperature(coil, after, 0.0, 0.1, 25.0)
     assert now > 5.0
     stops(safety, replace(shot, start=now), now, a_pose(), r"Coil '\+x' would reach 60.\d °C .* at most 60 °C")
 
@@ -119,7 +119,7 @@ def test_a_robot_outside_the_container_stops_the_run(place, words):
     "pose", [a_pose((30.0, 0, 50), 5.0), a_pose((30.0, 0, 50), trusted=False), a_pose((21.9, 0, 50))]
 )
 def test_a_pose_that_may_be_inside_or_is_not_trusted_stops_nothing(pose):
-    a_safety(rules=SafetyRules(allowed_box=((-0.022, -0.022, 0.045), (0.022, 0.022, 0.06)))).before(
+    a_safety(rules=SafetyRules(allowed_box=((-0.022, -0.022, 0.045), (0.022, 0.022, 0.06)))).check_shot(
         pulling(), 0.0, pose
     )
 
@@ -129,36 +129,38 @@ def test_a_pose_that_may_be_inside_or_is_not_trusted_stops_nothing(pose):
 )
 def test_driving_with_an_uncertain_pose_ends_after_some_shots(driving):
     safety = a_safety(rules=SafetyRules(max_sigma=5e-3, uncertain_shots=3))
-    vague = a_pose(sigma_mm=7.0)
-    for pose in (vague, vague, a_pose(), vague, vague):
-        safety.before(driving, safety._time, pose)
+    doubtful = a_pose(sigma_mm=7.0)
+    for pose in (doubtful, doubtful, a_pose(), doubtful, doubtful):
+        safety.check_shot(driving, safety._time, pose)
     for _ in range(9):  # looking for it drives nothing
-        safety.before(Shot((Excite((1.0, 0.0), 100.0, 2), RingDown(0.02), HEAR), "lost"), safety._time, vague)
-    stops(safety, driving, safety._time, vague, r"Uncertain pose: .* above 5 mm .* in 3 shots in a row .* now 7.0 mm")
+        safety.check_shot(Shot((Excite((1.0, 0.0), 100.0, 2), RingDown(0.02), LISTEN), "lost"), safety._time, doubtful)
+    stops(
+        safety, driving, safety._time, doubtful, r"Uncertain pose: .* above 5 mm .* in 3 shots in a row .* now 7.0 mm"
+    )
 
 
-def test_a_robot_that_was_never_seen_is_not_driven_but_a_coil_may_be_learned():
+def test_a_robot_that_was_never_located_is_not_driven_but_a_coil_may_be_learned():
     safety = a_safety()
-    safety.before(pulling(mode="quiet"), 0.0, None)
+    safety.check_shot(pulling(mode="quiet"), 0.0, None)
     stops(safety, pulling(1.0), 1.0, None, "Lost pose")
 
 
 def test_windows_lost_in_a_row_are_stale_data_and_single_ones_are_counted():
     safety, shot = a_safety(rules=SafetyRules(stale_shots=3)), pulling()
     for lost in (True, False, True, True, False):
-        assert (safety.after(shot, None if lost else heard(shot), 0.2) is None) == lost
+        assert (safety.check_recording(shot, None if lost else make_recording(shot), 0.2) is None) == lost
     assert safety.recovered == {"lost_windows": 3}
-    safety.after(shot, None, 0.2)
-    safety.after(shot, None, 0.2)
+    safety.check_recording(shot, None, 0.2)
+    safety.check_recording(shot, None, 0.2)
     with pytest.raises(SafetyError, match=r"Stale data: 3 listening windows in a row .* gave no recording"):
-        safety.after(shot, None, 0.2)
+        safety.check_recording(shot, None, 0.2)
     assert_latched(safety, "Stale data")
 
 
 def test_a_shot_that_does_not_listen_loses_no_window():
     safety = a_safety(rules=SafetyRules(stale_shots=2))
     for _ in range(5):
-        assert safety.after(Shot((Rotate((1, 0, 0), 0.5, 2.0),)), None, 0.0) is None
+        assert safety.check_recording(Shot((Rotate((1, 0, 0), 0.5, 2.0),)), None, 0.0) is None
     assert safety.recovered == {"lost_windows": 0}
 
 
@@ -171,9 +173,9 @@ def test_a_shot_that_does_not_listen_loses_no_window():
 )
 def test_a_recording_of_another_time_counts_as_lost(early, now, words):
     safety, shot = a_safety(rules=SafetyRules(stale_shots=2, max_age=1.0)), pulling()
-    assert safety.after(shot, heard(shot, early=early), now) is None
+    assert safety.check_recording(shot, make_recording(shot, early=early), now) is None
     with pytest.raises(SafetyError, match=words):
-        safety.after(shot, heard(shot, early=early), now)
+        safety.check_recording(shot, make_recording(shot, early=early), now)
 
 
 @pytest.mark.parametrize(("fault", "words"), [("constant", "constant"), ("saturated", "saturated")])
@@ -181,27 +183,27 @@ def test_a_sensor_that_is_dead_or_saturated_for_some_windows_is_named(fault, wor
     shot = pulling()
     safety = a_safety(patience=3)
     for sensors in ([1], [1], [], [1, 2], [1, 2]):
-        safety.after(shot, heard(shot, **{fault: sensors}), 0.2)
+        safety.check_recording(shot, make_recording(shot, **{fault: sensors}), 0.2)
     with pytest.raises(SafetyError, match=rf"Sensor 1 \(counted from 0\) was {words}.* in 3 listening windows"):
-        safety.after(shot, heard(shot, **{fault: [1]}), 0.2)
+        safety.check_recording(shot, make_recording(shot, **{fault: [1]}), 0.2)
     assert_latched(safety, "Sensor 1")
     known = a_safety(patience=3, broken=[1])
     for _ in range(5):
-        known.after(shot, heard(shot, **{fault: [1]}), 0.2)
+        known.check_recording(shot, make_recording(shot, **{fault: [1]}), 0.2)
 
 
 def test_a_sensor_that_repeats_a_value_is_not_dead():
     shot, safety = pulling(), a_safety(patience=1)
-    spoilt = heard(shot)
+    spoilt = make_recording(shot)
     spoilt.field[1, [0, 250, 499]] = 7e-9
-    assert safety.after(shot, spoilt, 0.2) is spoilt
+    assert safety.check_recording(shot, spoilt, 0.2) is spoilt
 
 
-def test_a_tail_may_be_too_loud_and_a_world_without_samples_has_no_dead_sensors():
-    safety, tail = a_safety(patience=1), pulling(mode="quiet")
-    assert safety.after(tail, heard(tail, saturated=[0]), 0.2) is not None
+def test_a_coil_decay_may_saturate_and_a_world_without_samples_has_no_dead_sensors():
+    safety, probe = a_safety(patience=1), pulling(mode="quiet")
+    assert safety.check_recording(probe, make_recording(probe, saturated=[0]), 0.2) is not None
     empty = Recording(np.zeros((3, 0)), 50e3, 0.02, clock=0.12)
-    assert safety.after(pulling(), empty, 0.2) is empty
+    assert safety.check_recording(pulling(), empty, 0.2) is empty
 
 
 def test_the_first_reason_stays_and_what_is_bound_is_halted():
@@ -214,7 +216,7 @@ def test_the_first_reason_stays_and_what_is_bound_is_halted():
     assert halted == ["early", "early", "late"]
 
 
-# What a whole flight makes of it.
+# Complete flights.
 
 
 @dataclass
@@ -266,7 +268,7 @@ def flown_on(mission, folder=None, listeners=None, latch=None, real=False, **fau
         return rigs[0]
 
     try:
-        run = fly(mission, 3, folder=folder, open_rig=open_faulty, make_listeners=listeners, latch=latch)
+        run = fly(mission, 3, folder=folder, opener=open_faulty, make_listeners=listeners, latch=latch)
     except ValueError as error:
         return None, rigs[0], error
     return run, rigs[0], None
@@ -316,7 +318,7 @@ def test_windows_lost_one_after_another_end_the_run_with_its_folder(brief, momen
     assert {"mission.toml", "rig.toml", "provenance.json"} <= {p.name for p in (tmp_path / "run").iterdir()}
 
 
-def test_a_ring_down_that_cannot_be_heard_leaves_the_missions_own(brief):
+def test_a_ring_down_that_cannot_be_measured_keeps_the_missions_own(brief):
     run, rig, _ = flown_on(brief, at=lambda shot: is_probe(shot) and shot.excite.currents[0] != 0, lose=range(2))
     assert run.status == "timeout"
     assert "ring-down not learned" in {e.what for e in run.events}
@@ -325,7 +327,7 @@ def test_a_ring_down_that_cannot_be_heard_leaves_the_missions_own(brief):
 
 
 @pytest.mark.parametrize("moment", MOMENTS)
-def test_who_shuts_the_latch_ends_the_run_at_any_moment_and_nothing_more_is_played(brief, moment):
+def test_tripping_the_latch_ends_the_run_at_any_moment_and_nothing_more_is_played(brief, moment):
     latch = Latch()
 
     def press(rig):
@@ -350,7 +352,7 @@ def test_a_button_of_the_bench_stops_and_a_fault_fails(brief, error, status):
     assert (run.status, run.stop_reason) == (status, str(error))
 
 
-def test_an_error_that_nobody_foresaw_comes_out_after_zero_outputs_and_a_whole_folder(brief, tmp_path):
+def test_an_unexpected_error_is_raised_after_zero_outputs_and_a_complete_folder(brief, tmp_path):
     def listener(record):
         if record.shot.mode == "track":
             raise ValueError("a plug-in's own mistake")
@@ -426,7 +428,7 @@ def test_a_run_that_is_over_plays_nothing_more(brief):
         assert first.status == "timeout"
 
 
-def test_a_hot_coil_ends_a_flight_and_the_folder_says_so(tmp_path):
+def test_a_hot_coil_ends_a_flight_and_the_folder_has_the_reason(tmp_path):
     coils = "{ heat_capacity_j_per_k = 0.5, max_temperature_c = 40.0 }"
     hot = load_mission("line", settings={**SHORT, "rig.safety.coils": coils, "localization.estimator": "paper"})
     run = fly(hot, 3, folder=RunFolder(tmp_path / "run"))
@@ -491,7 +493,7 @@ def test_no_shipped_mission_is_stopped_or_changed(name):
 
 
 @pytest.mark.parametrize("name", ["tank", "gel", "gel_blocked", "kidney", "brain"])
-def test_every_shipped_rig_says_what_its_coils_bear(name):
+def test_every_shipped_rig_has_thermal_constants_of_its_coils(name):
     rig = load_rig(name)
     assert "safety" in rig.document.data
     assert all(coil is not None for coil in rig.thermal)
@@ -518,7 +520,7 @@ def test_a_rig_file_without_the_section_is_watched_all_the_same(brief):
     with world.open(mission.rig, mission.robot, mission.start_placement, 3) as rig:
         safety = make_safety(rig, mission)
     assert safety.heat.coils[0].capacity == pytest.approx(58.6, abs=0.1)
-    assert safety.rules.reach[1][0] == pytest.approx(0.025)
+    assert safety.rules.allowed_box[1][0] == pytest.approx(0.025)
 
 
 def test_a_bench_remembers_how_hot_its_coils_are_and_a_tank_does_not(brief, cold_coils):

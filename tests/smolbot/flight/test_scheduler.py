@@ -76,7 +76,7 @@ def test_without_a_pose_it_searches_and_does_not_pull():
     assert shot.mode == "search"
 
 
-def test_a_paused_or_unconfirmed_robot_is_heard_but_not_pulled():
+def test_a_paused_or_unconfirmed_robot_is_measured_but_not_pulled():
     plan = scheduler()
     assert plan.next(PULL, Belief(facing(0))).mode == "track"
     assert plan.next(PULL, Belief(facing(0), confirmed=False)).mode == "hold"
@@ -151,7 +151,7 @@ def test_a_burst_brings_the_device_to_its_stops_and_no_further(per_ampere):
 
 
 @pytest.mark.parametrize("damping_model", ["linear", "exponential"])
-def test_the_swing_grows_as_its_equation_of_motion_says(damping_model):
+def test_the_swing_grows_as_its_equation_of_motion_predicts(damping_model):
     """theta'' + 2 eta theta' + w² theta = (m B / I) sin(w t), integrated sample by sample."""
     from scipy.integrate import solve_ivp
 

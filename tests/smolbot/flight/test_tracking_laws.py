@@ -49,7 +49,7 @@ def settled(count=5, place=(0.0, 0.0), dt=0.1) -> Tracker:
     return track
 
 
-def test_before_the_first_pose_there_is_nothing_to_believe():
+def test_before_the_first_pose_there_is_no_track():
     track = tracker()
     assert track.pose is None
     assert not track.confirmed
@@ -97,7 +97,7 @@ def test_a_robot_that_is_pulled_is_followed_more_closely_than_by_its_poses_alone
         if i:
             field, gradient = known().table.field_and_gradient(place[None, :])
             step, heading = advance(known().robot, field[:, 0], gradient[:, 0], np.array(currents), heading, 0.03)
-            place = place + 1.1 * np.append(step, 0.0)  # 10 % less drag than believed
+            place = place + 1.1 * np.append(step, 0.0)  # 10 % less drag than assumed
         clock = shot.end
         noisy = pose(clock - 5e-3, (1e3 * place + rng.normal(0, 0.2, 3))[:2], heading + rng.normal(0, 0.02))
         track.update(shot if i else quiet(), noisy)
@@ -109,7 +109,7 @@ def test_a_robot_that_is_pulled_is_followed_more_closely_than_by_its_poses_alone
     assert place[0] > -3e-3  # it did move
 
 
-def test_averaging_shrinks_noise_on_a_resting_robot_and_the_covariance_says_by_how_much():
+def test_averaging_reduces_noise_on_a_resting_robot_as_much_as_the_covariance_does():
     track, rng, errors, claimed = tracker(), np.random.default_rng(2), [], []
     for i in range(400):
         found = pose(0.1 * i + 0.02, rng.normal(0, 0.2, 2))
@@ -145,7 +145,7 @@ def test_missed_windows_are_survived_while_uncertainty_grows():
     assert track.misses == 0
 
 
-def test_outliers_that_agree_with_each_other_are_believed_in_the_end():
+def test_outliers_that_agree_with_each_other_restart_the_track():
     track = settled()
     for i in range(6):
         track.update(quiet(1.0 + 0.1 * i), pose(1.02 + 0.1 * i, (12.0, 9.0)))
@@ -158,7 +158,7 @@ def test_outliers_that_agree_with_each_other_are_believed_in_the_end():
     assert track.confirmed
 
 
-def test_outliers_that_disagree_with_each_other_are_never_believed():
+def test_outliers_that_disagree_with_each_other_never_restart_the_track():
     track, rng = settled(), np.random.default_rng(3)
     for i in range(12):
         track.update(quiet(1.0 + 0.1 * i), pose(1.02 + 0.1 * i, rng.choice([-1, 1], 2) * (8 + 3 * (i % 4))))
@@ -185,7 +185,7 @@ def scattered(track, rng, times, worse) -> tuple[float, int]:
 
 
 @pytest.mark.parametrize("worse", [1.0, 2.0, 3.0])
-def test_poses_that_are_worse_than_they_claim_are_believed_less_until_they_are_better_again(worse):
+def test_poses_that_are_worse_than_their_covariance_weigh_less_until_they_are_better_again(worse):
     """Noise that a fit cannot see in its own residuals, such as the mains line, is seen in how poses scatter."""
     rng, track = np.random.default_rng(5), tracker()
     error, misses = scattered(track, rng, 0.1 * np.arange(300), worse)
@@ -199,17 +199,17 @@ def test_poses_that_are_worse_than_they_claim_are_believed_less_until_they_are_b
 
 @pytest.mark.parametrize(("degrees", "duration"), [(60.0, 0.03), (90.0, 0.05), (90.0, 0.09)])
 @pytest.mark.parametrize("off", [0.3, 0.6, -0.6])
-def test_a_robot_that_turns_less_or_more_than_believed_is_in_doubt_by_that_and_no_outlier(degrees, duration, off):
-    """Drag and gain are known to three tenths: so far from the believed turn is one standard deviation away."""
+def test_a_robot_that_turns_less_or_more_than_predicted_is_uncertain_by_that_and_no_outlier(degrees, duration, off):
+    """Drag and gain are known to three tenths: that much of the predicted turn is one standard deviation."""
     track, heading, currents = tracker(), np.radians(degrees), (8.0, 0.0, 0.0, 0.0)
     for i in range(6):
         track.update(quiet(0.1 * i), pose(0.1 * i + 0.02, (0, 0), heading))
     field, gradient = known().table.field_and_gradient(track.pose.position[None, :])
     step, turned = advance(known().robot, field[:, 0], gradient[:, 0], np.array(currents), heading, duration)
     pull = Shot((Actuate(currents, duration), *LISTEN), start=0.6)
-    believed = track.update(pull, None)
+    predicted = track.update(pull, None)
     error = off * (turned - heading)
-    assert abs(error) / np.sqrt(believed.covariance[5, 5]) == pytest.approx(abs(off) / 0.3, rel=0.05)
+    assert abs(error) / np.sqrt(predicted.covariance[5, 5]) == pytest.approx(abs(off) / 0.3, rel=0.05)
     seen = pose(pull.end, 1e3 * step, turned + error)
     track.update(Shot(LISTEN, start=pull.end), replace(seen, time=pull.end + 0.02))
     assert track.misses == 0
@@ -227,7 +227,7 @@ def test_carrying_a_pose_on_in_time_moves_nothing_and_forgets_a_little():
     assert track.pose.time == now.time  # asking changes nothing
 
 
-def test_without_a_table_windows_are_taken_to_cause_no_motion():
+def test_without_a_table_windows_are_assumed_to_cause_no_motion():
     track = tracker(None)
     for i in range(4):
         track.update(quiet(0.1 * i), pose(0.1 * i + 0.02, (1.0, 0.5)))
@@ -236,7 +236,7 @@ def test_without_a_table_windows_are_taken_to_cause_no_motion():
     assert np.array_equal(track.pose.position, before)
 
 
-def test_the_track_stays_a_pose_whatever_it_hears():
+def test_the_track_stays_a_valid_pose_whatever_is_measured():
     track, rng = tracker(), np.random.default_rng(4)
     for i in range(300):
         found = pose(0.1 * i + 0.02, rng.normal(0, 3, 2), rng.uniform(-np.pi, np.pi))
@@ -246,9 +246,9 @@ def test_the_track_stays_a_pose_whatever_it_hears():
             assert np.all(np.linalg.eigvalsh(track.pose.covariance) > 0)
 
 
-def test_a_robot_that_turned_unseen_is_believed_again_although_it_is_found_as_its_twin():
+def test_a_robot_that_turned_unmeasured_is_tracked_again_although_it_is_found_flipped():
     track = settled()
-    for i in range(5, 12):  # found from nothing, either twin comes out
+    for i in range(5, 12):  # found without a prior, either orientation results
         seen = pose(0.1 * i + 0.02, (1.0, 0.5), heading=2.0)
         seen = replace(seen, orientation=flip_orientation(seen.orientation)) if i % 2 else seen
         track.update(quiet(0.1 * i), seen)
@@ -265,7 +265,7 @@ def test_a_robot_that_points_against_the_field_may_turn_either_way():
             track.update(quiet(0.1 * i), pose(0.1 * i + 0.02, (0, 0), heading=np.radians(degrees)))
         track.update(Shot((window, *LISTEN), start=0.5), None)
         spread[degrees] = np.degrees(np.sqrt(track.pose.covariance[5, 5]))
-        seen = pose(0.65, (0, 0), heading=np.radians(-140.0))  # it went the other way than believed
+        seen = pose(0.65, (0, 0), heading=np.radians(-140.0))  # it went the other way than predicted
         if degrees == 179.0:
             track.update(quiet(0.6), seen)
             assert track.misses == 0

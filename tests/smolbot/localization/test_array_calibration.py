@@ -77,7 +77,7 @@ def test_gains_are_found_up_to_a_common_factor(nominal, along_device, pose_at):
     assert corrected.field[3] == pytest.approx(recordings[0].field[3] / found.gains[3])
 
 
-def test_what_the_track_does_not_tell_stays_as_believed(nominal, along_device, pose_at):
+def test_what_the_track_does_not_determine_stays_as_assumed(nominal, along_device, pose_at):
     device = replace(along_device, damping=1.6)
     array, gains = true_array(nominal, 4)
     recordings, poses = track_recordings(array, gains, device, 24, 4, pose_at)

@@ -31,7 +31,7 @@ def drawn(belief, seed, size=1.0):
     rng = np.random.default_rng(seed)
     q = size * np.sqrt(np.diag(belief.covariance)) * np.clip(rng.standard_normal(len(belief.covariance)), -2, 2)
     moment, l0 = belief.compute_moment_and_l0(q)
-    return q, belief.array(q), replace(belief.device, moment=moment, l0=l0)
+    return q, belief.make_array(q), replace(belief.device, moment=moment, l0=l0)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def noise(array):
     )
 
 
-def heard(array, device, pose, rng, noise, constant=5e-8):
+def record(array, device, pose, rng, noise, constant=5e-8):
     time = 0.008 + np.arange(483) / RATE
     theta = compute_deflection(device, time, 0.8 * device.theta_max, rng.uniform(-3, 3))
     field = compute_sensor_field(array, device, pose.position, pose.orientation, theta)
@@ -51,12 +51,12 @@ def heard(array, device, pose, rng, noise, constant=5e-8):
 
 
 @pytest.mark.parametrize("kind", ["along", "across"])
-def test_a_fit_leans_by_what_its_terms_say(array, devices, pose_at, kind):
+def test_sensor_deviations_bias_a_fit_as_its_terms_predict(array, devices, pose_at, kind):
     belief = belief_of(array, devices[kind])
     localizer = Localizer(array, belief.device)
     q, true, device = drawn(belief, 3, 0.3)
     pose = pose_at((7.0, -4.0, 60.0), 35.0, "zy" if kind == "along" else "xz")
-    recording = heard(true, device, pose, np.random.default_rng(0), 0.0)
+    recording = record(true, device, pose, np.random.default_rng(0), 0.0)
     found, swing = localizer.locate_swing(recording, pose)
     terms = swing.compute_array_terms(belief.frames)
     off = found.position - pose.position
@@ -65,11 +65,11 @@ def test_a_fit_leans_by_what_its_terms_say(array, devices, pose_at, kind):
     assert np.linalg.norm(corrected) < 0.1 * np.linalg.norm(off)
 
 
-def test_what_no_pose_explains_is_what_the_information_says(array, along_device, pose_at):
+def test_residuals_that_no_pose_explains_agree_with_the_information(array, along_device, pose_at):
     belief = belief_of(array, along_device)
     q, true, device = drawn(belief, 4, 0.2)
     pose = pose_at((-5.0, 9.0, 60.0), 140.0)
-    recording = heard(true, device, pose, np.random.default_rng(0), 0.0)
+    recording = record(true, device, pose, np.random.default_rng(0), 0.0)
     _, swing = Localizer(array, along_device).locate_swing(recording, pose)
     terms = swing.compute_array_terms(belief.frames)
     expected = terms.information @ q
@@ -87,7 +87,7 @@ def flight(array, device, pose_at, rng, n):
             heading, ahead = heading + 180.0, -ahead
         place = place + 0.8 * ahead
         pose = pose_at((*place, 59.6), heading)
-        yield heard(array, device, pose, rng, NOISE), pose
+        yield record(array, device, pose, rng, NOISE), pose
 
 
 def fly(noise, true, device, belief, pose_at, seed, learn=True, n=150):
@@ -102,7 +102,7 @@ def fly(noise, true, device, belief, pose_at, seed, learn=True, n=150):
             slip = 0.3 * np.linalg.norm(step)
             moved = step + np.append(slip * rng.standard_normal(2), 0.0)
             variance = np.array([slip**2, slip**2, 1e-10, 1e-4, 1e-4, 1e-4 + (0.3 * turn[2]) ** 2])
-            learned.moved(moved, turn, variance)
+            learned.predict(moved, turn, variance)
         terms = swing.compute_array_terms(belief.frames)
         if learn and terms is not None and learned.update(pose, terms):
             anew = replace(localizer.device, moment=learned.moment, l0=learned.l0)
@@ -146,11 +146,11 @@ def test_a_sensor_without_a_word_is_not_learned(array, noise, along_device, pose
     rng = np.random.default_rng(5)
     for heading in np.linspace(0, 300, 40):
         pose = pose_at((4.0, 3.0, 60.0), heading)
-        recording = heard(true, device, pose, rng, NOISE)
+        recording = record(true, device, pose, rng, NOISE)
         recording = replace(recording, saturated=np.arange(len(array)) == 3)
         found, swing = localizer.locate_swing(recording, pose)
         learned.update(found, swing.compute_array_terms(belief.frames))
-        learned.moved(np.zeros(3), np.zeros(3), np.ones(6))
+        learned.predict(np.zeros(3), np.zeros(3), np.ones(6))
     left = np.sqrt(np.diag(learned.covariance)[:-DEVIATIONS_OF_DEVICE].reshape(-1, DEVIATIONS_PER_SENSOR))
     assert left[3] == pytest.approx(DEVIATIONS, rel=1e-6)
     assert (left[[2, 4]] < 0.95 * DEVIATIONS).any()
@@ -159,7 +159,7 @@ def test_a_sensor_without_a_word_is_not_learned(array, noise, along_device, pose
 def test_another_array_takes_over_the_whitener_of_the_last(array, along_device, pose_at):
     localizer = Localizer(array, along_device)
     belief = belief_of(array, along_device)
-    recording = heard(array, along_device, pose_at((0.0, 0.0, 60.0)), np.random.default_rng(0), 1e-10)
+    recording = record(array, along_device, pose_at((0.0, 0.0, 60.0)), np.random.default_rng(0), 1e-10)
     _, other, _ = drawn(belief, 1)
     first = prepare_whitened(recording, array, along_device, localizer.noise).model
     second = prepare_whitened(recording, other, along_device, localizer.noise).model
@@ -170,10 +170,10 @@ def test_another_array_takes_over_the_whitener_of_the_last(array, along_device, 
 def test_a_gain_that_is_known_changes_no_pose(array, along_device, pose_at):
     gains = 1.0 + 0.02 * np.random.default_rng(0).standard_normal(len(array))
     pose = pose_at((3.0, -6.0, 60.0), 80.0)
-    recording = heard(array, along_device, pose, np.random.default_rng(1), 0.0)
+    recording = record(array, along_device, pose, np.random.default_rng(1), 0.0)
     louder = replace(recording, field=gains[:, None] * recording.field)
-    told = SensorArray(array.positions, array.axes, array.bandwidth, gains)
-    found = Localizer(told, along_device).locate(louder, pose)
+    learned_array = SensorArray(array.positions, array.axes, array.bandwidth, gains)
+    found = Localizer(learned_array, along_device).locate(louder, pose)
     assert np.linalg.norm(found.position - pose.position) < 1e-5
     untold = Localizer(array, along_device).locate(louder, pose)
     assert np.linalg.norm(untold.position - pose.position) > 1e-4
@@ -188,9 +188,9 @@ def test_noise_alone_does_not_move_the_sensors_and_real_deviations_do():
     rng = np.random.default_rng(8)
     n, k = 30, 12
     prior = np.diag(rng.uniform(1e-4, 5e-3, n) ** 2)
-    prior[3, 3] = 0.0  # believed beyond doubt
+    prior[3, 3] = 0.0  # assumed to be exact
     own = np.sqrt(np.diag(prior))
-    rows = 3.0 * rng.standard_normal((k, n)) / np.where(own > 0.0, own, 1.0)  # what was heard: rows q + unit noise
+    rows = 3.0 * rng.standard_normal((k, n)) / np.where(own > 0.0, own, 1.0)  # the data: rows q + unit noise
     gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + np.eye(k))
     covariance = prior - gain @ rows @ prior
     false = [is_significant(gain @ rng.standard_normal(k), covariance, prior) for _ in range(400)]

@@ -50,10 +50,10 @@ def scatter_of_fits(sensors, device, noise, pose, half_periods, repeats, amplitu
     time, size = np.arange(n) / RATE, amplitude / REFERENCE_ANGLE
     for i in range(repeats):
         phase = np.pi * (i % 4) / 4
-        clean, _ = prepared.model.response(pose.position, pose.rotation, phase, size)
+        clean, _ = prepared.model.compute_response(pose.position, pose.rotation, phase, size)
         field = coloured(rng, noise, len(sensors), n) + mains(rng, noise, sensors, time)
-        heard = prepare_paper(Recording(field, RATE, 0.02), sensors, device)
-        fit = replace(heard, data=heard.data + clean).fit(pose.position, pose.rotation, phase, size)
+        prepared_noise = prepare_paper(Recording(field, RATE, 0.02), sensors, device)
+        fit = replace(prepared_noise, data=prepared_noise.data + clean).fit(pose.position, pose.rotation, phase, size)
         turn = compute_rotation_error(quaternion_from_matrix(fit.rotation), pose.orientation)
         errors.append([*(fit.position - pose.position), *turn])
     return np.sqrt(np.mean(np.square(errors), axis=0))

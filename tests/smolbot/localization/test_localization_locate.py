@@ -1,4 +1,4 @@
-"""Finding the device: from a recording to a pose, cold and warm, with twins, noise and bad channels."""
+"""Finding the device: from a recording to a pose, cold and warm, with flipped poses, noise and bad channels."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def estimator(request) -> str:
 
 
 def at_the_truth(found: Pose, truth: Pose, estimator: str, within: float = 1e-5) -> bool:
-    """The paper's fit of clean data is exact; the whitened one leans on its prior, by less than it claims to know."""
+    """The paper's fit of clean data is exact; the prior biases the whitened one by less than its standard deviation."""
     error = found.position - truth.position
     if estimator == "paper":
         return bool(np.linalg.norm(error) < within)
@@ -47,7 +47,7 @@ def nearby(pose: Pose, away=(1.5e-3, -1e-3, 0.8e-3), turn=(0.1, -0.08, 0.12)) ->
 
 
 def turned_about_moment(pose: Pose, device) -> Pose:
-    """The twin: a half turn about the moment, with the magnet in the same place."""
+    """The flipped pose: a half turn about the moment, with the magnet in the same place."""
     moment = pose.rotation @ device.moment_in_body
     rotation = (2 * np.outer(moment, moment) - np.eye(3)) @ pose.rotation
     magnet = pose.position + device.l0 * pose.rotation[:, 2]
@@ -106,7 +106,7 @@ def test_the_fit_ends_where_scipy_ends_on_the_same_noisy_data(array, devices, po
         move = x * scale
         rotation = matrix_from_quaternion(quaternion_from_rotation_vector(move[3:6])) @ truth.rotation
         size = 0.8 * device.theta_max / REFERENCE_ANGLE + move[7]
-        out, _ = problem.model.response(truth.position + move[:3], rotation, 0.4 + move[6], size)
+        out, _ = problem.model.compute_response(truth.position + move[:3], rotation, 0.4 + move[6], size)
         return (out - problem.data).ravel() * 1e5
 
     scipys = least_squares(residual, np.zeros(8), method="lm", xtol=1e-12, ftol=1e-12, gtol=1e-12)
@@ -139,7 +139,7 @@ def test_r_squared_is_one_minus_the_unexplained_share(array, along_device, pose_
     recording = hear(array, along_device, truth, noise=noise)
     problem = prepare_paper(recording, array, along_device)
     best = problem.fit(truth.position, truth.rotation, 0.4, 0.8 * along_device.theta_max / REFERENCE_ANGLE)
-    out, _ = problem.model.response(best.position, best.rotation, best.phase, best.amplitude)
+    out, _ = problem.model.compute_response(best.position, best.rotation, best.phase, best.amplitude)
     unexplained = np.sum((problem.data - out) ** 2) / np.sum((problem.data - np.mean(problem.data)) ** 2)
     found = Localizer(array, along_device, estimator="paper").locate(recording, truth)
     assert unexplained > 1e-4
@@ -147,29 +147,29 @@ def test_r_squared_is_one_minus_the_unexplained_share(array, along_device, pose_
 
 
 @pytest.mark.parametrize(("place", "heading"), [((4, -6, 80), 35), ((-5, 8, 70), 120)])
-def test_of_two_twins_with_the_moment_across_the_right_one_is_kept(
+def test_of_two_orientations_with_the_moment_across_the_right_one_is_kept(
     array, across_device, pose_at, hear, place, heading, estimator
 ):
     truth = pose_at(place, heading)
-    twin = turned_about_moment(truth, across_device)
-    assert angle(twin, truth) == pytest.approx(np.pi)
-    assert np.linalg.norm(twin.position - truth.position) > 2 * across_device.l0 - 1e-9
+    flipped = turned_about_moment(truth, across_device)
+    assert angle(flipped, truth) == pytest.approx(np.pi)
+    assert np.linalg.norm(flipped.position - truth.position) > 2 * across_device.l0 - 1e-9
     recording = hear(array, across_device, truth, 6)
-    for prior in (None, truth, twin):
+    for prior in (None, truth, flipped):
         found = Localizer(array, across_device, estimator=estimator).locate(recording, prior)
         assert at_the_truth(found, truth, estimator)
         assert angle(found, truth) < 1e-2
         assert found.flip_margin > 2.0
 
 
-def test_with_the_moment_along_the_cantilever_the_twin_nearest_to_the_prior_is_returned(
+def test_with_the_moment_along_the_cantilever_the_orientation_nearest_to_the_prior_is_returned(
     array, along_device, pose_at, hear, estimator
 ):
     truth = pose_at((4, -6, 80), 35)
-    twin = replace(truth, orientation=multiply_quaternions(truth.orientation, HALF_TURN_ABOUT_Z))
+    flipped = replace(truth, orientation=multiply_quaternions(truth.orientation, HALF_TURN_ABOUT_Z))
     recording = hear(array, along_device, truth)
-    assert np.allclose(recording.field, hear(array, along_device, twin, phase=0.4 + np.pi).field, rtol=0, atol=1e-18)
-    for prior in (truth, twin):
+    assert np.allclose(recording.field, hear(array, along_device, flipped, phase=0.4 + np.pi).field, rtol=0, atol=1e-18)
+    for prior in (truth, flipped):
         found = Localizer(array, along_device, estimator=estimator).locate(recording, nearby(prior))
         assert angle(found, prior) < 1e-3
         assert found.flip_margin == 1.0
@@ -181,7 +181,7 @@ def test_covariance_of_a_fit_is_the_scatter_that_white_noise_causes(array, along
     n, size = 483, 0.8 * along_device.theta_max / REFERENCE_ANGLE
     any_samples = Recording(np.random.default_rng(1).standard_normal((len(array), n)), RATE, 0.02)
     problem = prepare_paper(any_samples, array, along_device)
-    clean, _ = problem.model.response(truth.position, truth.rotation, 0.4, size)
+    clean, _ = problem.model.compute_response(truth.position, truth.rotation, 0.4, size)
     rng, level = np.random.default_rng(5), 2e-3 * np.abs(clean).max()
     errors, claimed = [], []
     for _ in range(300):
@@ -223,11 +223,11 @@ def test_a_saturated_channel_is_left_out_and_the_pose_stays_good(array, along_de
     recording = hear(array, along_device, truth)
     field, saturated = recording.field.copy(), np.zeros(len(array), dtype=bool)
     field[4], saturated[4] = np.sign(np.sin(np.arange(field.shape[1]))) * 1e-5, True
-    heard = replace(recording, field=field, saturated=saturated)
-    found = Localizer(array, along_device, estimator=estimator).locate(heard, nearby(truth))
+    spoilt = replace(recording, field=field, saturated=saturated)
+    found = Localizer(array, along_device, estimator=estimator).locate(spoilt, nearby(truth))
     assert at_the_truth(found, truth, estimator)
     unflagged = Localizer(array, along_device, estimator=estimator).locate(
-        replace(heard, saturated=~saturated & False), nearby(truth)
+        replace(spoilt, saturated=~saturated & False), nearby(truth)
     )
     assert not unflagged.trusted or np.linalg.norm(unflagged.position - truth.position) > 1e-3
 

@@ -48,19 +48,19 @@ def turned(rotation, vector):
     return matrix_from_quaternion(quaternion_from_rotation_vector(np.asarray(vector, dtype=float))) @ rotation
 
 
-def test_a_point_dipole_sounds_like_a_cylinder_magnet_of_1_mm_at_80_mm(array, device, pose):
+def test_a_point_dipole_has_the_field_of_a_cylinder_magnet_of_1_mm_at_80_mm(array, device, pose):
     volume = np.pi / 4 * 1e-3**3
     magnet = magpylib.magnet.Cylinder(polarization=(0, 0, MU0 * device.moment / volume), dimension=(1e-3, 1e-3))
     theta = np.linspace(-device.theta_max, device.theta_max, 9)
-    heard = np.zeros((len(array), len(theta)))
+    measured = np.zeros((len(array), len(theta)))
     for i, angle in enumerate(theta):
         swing = Rotation.from_matrix(pose.rotation) * Rotation.from_rotvec([0.0, angle, 0.0])
         upright = Rotation.align_vectors([device.moment_in_body], [[0, 0, 1]])[0]
         magnet.position = pose.position + pose.rotation @ (device.l0 * np.array([np.sin(angle), 0, np.cos(angle)]))
         magnet.orientation = swing * upright
-        heard[:, i] = np.sum(magnet.getB(array.positions) * array.axes, axis=1)
+        measured[:, i] = np.sum(magnet.getB(array.positions) * array.axes, axis=1)
     ours = compute_sensor_field(array, device, pose.position, pose.orientation, theta)
-    assert np.abs(ours - heard).max() < 1e-3 * np.ptp(heard, axis=1).max()
+    assert np.abs(ours - measured).max() < 1e-3 * np.ptp(measured, axis=1).max()
 
 
 def test_static_field_on_axis_at_80_mm_is_348_nT(along_device, pose_at):
@@ -86,7 +86,7 @@ def test_swing_crosses_zero_twice_a_period(across_device):
 
 def test_jacobian_of_the_model_matches_finite_differences(array, device, pose):
     model, rotation, phase, amplitude = model_of(array, device), pose.rotation, 0.7, 0.4
-    _, jacobian = model.response(pose.position, rotation, phase, amplitude)
+    _, jacobian = model.compute_response(pose.position, rotation, phase, amplitude)
     steps = [1e-6] * 3 + [1e-5] * 3 + [1e-5, 1e-5]
     for p, h in enumerate(steps):
         sides = []
@@ -94,7 +94,7 @@ def test_jacobian_of_the_model_matches_finite_differences(array, device, pose):
             move = np.zeros(8)
             move[p] = sign * h
             place, angle = pose.position + move[:3], turned(rotation, move[3:6])
-            sides.append(model.response(place, angle, phase + move[6], amplitude + move[7])[0])
+            sides.append(model.compute_response(place, angle, phase + move[6], amplitude + move[7])[0])
         numeric = (sides[0] - sides[1]) / (2 * h)
         assert np.abs(jacobian[..., p] - numeric).max() < 1e-6 * np.abs(jacobian[..., p]).max()
 
@@ -104,7 +104,7 @@ def test_the_fast_model_equals_the_chain_applied_sample_by_sample(array, device,
     amplitude, phase = 0.8 * device.theta_max, 1.1
     recording = hear(array, device, pose, half_periods, phase=phase, amplitude=amplitude)
     problem = prepare_paper(recording, array, device)
-    fast, _ = problem.model.response(pose.position, pose.rotation, phase, amplitude / REFERENCE_ANGLE)
+    fast, _ = problem.model.compute_response(pose.position, pose.rotation, phase, amplitude / REFERENCE_ANGLE)
     at = problem.model.chain.points.astype(int)
     literal = apply_filters(problem.model.mixing @ recording.field, RATE)[:, at]
     assert literal.shape == (len(problem.model.mixing), 4 * half_periods + 1)
@@ -112,7 +112,7 @@ def test_the_fast_model_equals_the_chain_applied_sample_by_sample(array, device,
     assert np.abs(problem.data - literal.ravel()).max() < 1e-9 * np.abs(literal).max()
 
 
-def test_sensors_of_1_khz_are_heard_as_a_first_order_low_pass(array, device, pose):
+def test_sensors_of_1_khz_are_modelled_as_a_first_order_low_pass(array, device, pose):
     slow = replace(array, bandwidth=1000.0)
     since, n, phase, amplitude, fine = 0.02, 967, 0.3, 0.25, 8
     time = np.arange(round(since * RATE * fine) + n * fine) / (RATE * fine)
@@ -120,13 +120,13 @@ def test_sensors_of_1_khz_are_heard_as_a_first_order_low_pass(array, device, pos
         slow, device, pose.position, pose.orientation, compute_deflection(device, time, amplitude, phase)
     )
     w = 2 * np.pi * slow.bandwidth
-    heard = np.array([signal.lsim(([w], [1.0, w]), row - row[0], time)[1] for row in field])
-    heard = heard[:, round(since * RATE * fine) :: fine]
+    measured = np.array([signal.lsim(([w], [1.0, w]), row - row[0], time)[1] for row in field])
+    measured = measured[:, round(since * RATE * fine) :: fine]
     model = model_of(slow, device, n, since)
-    expected = apply_filters(model.mixing @ heard, RATE)[:, model.chain.points.astype(int)].ravel()
-    fast, _ = model.response(pose.position, pose.rotation, phase, amplitude / REFERENCE_ANGLE)
+    expected = apply_filters(model.mixing @ measured, RATE)[:, model.chain.points.astype(int)].ravel()
+    fast, _ = model.compute_response(pose.position, pose.rotation, phase, amplitude / REFERENCE_ANGLE)
     assert np.abs(fast - expected).max() < 1e-3 * np.abs(expected).max()
-    ideal, _ = model_of(array, device, n, since).response(
+    ideal, _ = model_of(array, device, n, since).compute_response(
         pose.position, pose.rotation, phase, amplitude / REFERENCE_ANGLE
     )
     assert np.abs(ideal - expected).max() > 2e-2 * np.abs(expected).max()

@@ -145,10 +145,10 @@ def test_a_constant_on_a_channel_changes_nothing(room: Room, learned: NoiseModel
     assert after.covariance == pytest.approx(before.covariance, rel=1e-6)
 
 
-def test_a_silent_or_saturated_channel_is_left_out_and_the_covariance_says_so(room: Room, learned: NoiseModel):
+def test_a_constant_or_saturated_channel_is_left_out_also_of_the_covariance(room: Room, learned: NoiseModel):
     recording = room.recording(6)
     located = Localizer(SENSORS, ACROSS, learned)
-    whole = located.locate(recording, prior())
+    complete = located.locate(recording, prior())
     field = recording.field.copy()
     field[2] = field[2, 0]
     silent = located.locate(Recording(field, RATE, recording.time_since_drive), prior())
@@ -156,11 +156,11 @@ def test_a_silent_or_saturated_channel_is_left_out_and_the_covariance_says_so(ro
         Recording(field, RATE, recording.time_since_drive, saturated=np.arange(10) == 2), prior()
     )
     assert silent.position == pytest.approx(saturated.position, abs=1e-12)
-    assert np.trace(silent.covariance[:3, :3]) > np.trace(whole.covariance[:3, :3])
+    assert np.trace(silent.covariance[:3, :3]) > np.trace(complete.covariance[:3, :3])
     assert np.linalg.norm(silent.position - POSITION) < 1e-3
 
 
-def test_cold_starts_find_the_device_or_say_that_they_are_not_sure(room: Room, learned: NoiseModel):
+def test_cold_starts_find_the_device_or_are_not_trusted(room: Room, learned: NoiseModel):
     located = Localizer(SENSORS, ACROSS, learned)
     rng = np.random.default_rng(11)
     wrong = trusted = 0
@@ -213,11 +213,11 @@ def test_a_random_field_has_the_covariance_that_it_should():
     gradients = gradients + gradients.swapaxes(1, 2)
     gradients -= np.trace(gradients, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3.0
     gradients *= np.sqrt(3.0) / np.sqrt(np.mean(np.sum(gradients**2, axis=(1, 2))))
-    heard = np.einsum("ja,nab,jb->nj", SENSORS.axes, gradients, SENSORS.positions)
-    assert np.cov(heard.T) == pytest.approx(compute_field_covariance(SENSORS, 0.0, 1.0), rel=0.1, abs=1e-4)
+    measured = np.einsum("ja,nab,jb->nj", SENSORS.axes, gradients, SENSORS.positions)
+    assert np.cov(measured.T) == pytest.approx(compute_field_covariance(SENSORS, 0.0, 1.0), rel=0.1, abs=1e-4)
 
 
-def test_bad_quiet_recordings_are_refused(tmp_path):
+def test_bad_noise_recordings_are_refused(tmp_path):
     good = np.random.default_rng(0).normal(size=(10, int(RATE)))
     with pytest.raises(InputError, match="at least one"):
         NoiseModel.learn([])

@@ -1,4 +1,4 @@
-"""A lab's own estimator is flown by its entry point: one that only locates is enough, one that learns is told."""
+"""A lab's own estimator is flown by its entry point: `locate` alone is enough; one that learns gets what is learned."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class Plain(PoseEstimatorBase):
 
 
 class Learning(Plain):
-    """The same, that wants to be told of the noise."""
+    """The same, with noise as something that it learns."""
 
     learns = frozenset({"noise"})
-    told = ()
+    received = ()
 
     def with_noise(self, noise):
-        Learning.told = (*Learning.told, noise)
+        Learning.received = (*Learning.received, noise)
         return super().with_noise(noise)
 
 
@@ -62,13 +62,13 @@ def test_what_it_locates_is_the_pose_of_the_cycle_bit_for_bit(plug_in):
     assert np.array_equal(first.pose.position, other.pose.position)
 
 
-def test_an_estimator_that_learns_the_noise_is_told_it_once(plug_in):
+def test_an_estimator_that_learns_the_noise_gets_it_once(plug_in):
     plug_in("estimators", "learning", Learning)
-    Learning.told = ()
+    Learning.received = ()
     brief = {"localization.quiet_s": "2.0", "stop.max_duration_s": "1.0", "localization.estimator": "learning"}
     run = smolbot.run(load_mission("line", settings=brief), seed=3)
     assert [event.what for event in run.events] == ["noise learned"]
-    assert len(Learning.told) == 1
+    assert len(Learning.received) == 1
     assert run.begun > 2.0
 
 
@@ -129,7 +129,7 @@ def test_the_reduced_plant_refuses_an_estimator_whose_errors_it_does_not_know(pl
 
     plug_in("estimators", "plain", Plain)
     with pytest.raises(InputError, match="whitened and paper"):
-        fly(load_mission("line", settings={"localization.estimator": "plain"}), 1, open_rig=open_reduced)
+        fly(load_mission("line", settings={"localization.estimator": "plain"}), 1, opener=open_reduced)
 
 
 @pytest.mark.parametrize(("made", "name"), [(Localizer, "whitened"), (Paper, "paper")])

@@ -28,7 +28,8 @@ def array(bandwidth: float = 1000.0) -> SensorArray:
 
 def at(sensors, window=WINDOW, levels=LEVELS, **options):
     rotation = matrix_from_quaternion(ORIENTATION)
-    return compute_pose_bound(sensors, DEVICE, levels.model(sensors, 20e3), [POSITION], [rotation], window, **options)
+    noise = levels.make_model(sensors, 20e3)
+    return compute_pose_bound(sensors, DEVICE, noise, [POSITION], [rotation], window, **options)
 
 
 @pytest.mark.parametrize("half_periods", [1, 2])
@@ -58,7 +59,7 @@ def test_bound_is_that_of_a_dense_computation_with_every_sample():
         theta = compute_deflection(DEVICE, time, DEVICE.theta_max + change[7], phase + change[6])
         return compute_sensor_field(sensors, DEVICE, POSITION + change[:3], turned, theta).reshape(-1)
 
-    inverse = np.linalg.inv(LEVELS.model(sensors, 20e3).covariance(n, 1.0 / rate))
+    inverse = np.linalg.inv(LEVELS.make_model(sensors, 20e3).covariance(n, 1.0 / rate))
     constants = np.kron(np.eye(10), np.ones((n, 1))) * 1e-9
     found = []
     for phase in np.pi * np.arange(4) / 4:
@@ -73,12 +74,12 @@ def test_bound_is_that_of_a_dense_computation_with_every_sample():
 
 def test_whitened_chain_with_the_true_noise_reaches_the_bound():
     sensors = array()
-    noise = LEVELS.model(sensors, 20e3)
+    noise = LEVELS.make_model(sensors, 20e3)
     n = WINDOW.count_samples(DEVICE.frequency)
     model = make_whitened_model(sensors, DEVICE, noise, np.ones(10, dtype=bool).tobytes(), n, 50e3, 0.02)
     covariances = []
     for phase in np.pi * np.arange(4) / 4:
-        _, jacobian = model.response(
+        _, jacobian = model.compute_response(
             POSITION, matrix_from_quaternion(ORIENTATION), phase, DEVICE.theta_max / np.radians(30)
         )
         covariances.append(np.linalg.inv(jacobian.T @ jacobian)[:3, :3])
@@ -111,9 +112,9 @@ def test_height_and_amplitude_are_correlated():
 def test_faults_are_named():
     rotation = np.eye(3)
     with pytest.raises(InputError, match="as many positions as rotations"):
-        compute_pose_bound(array(), DEVICE, LEVELS.model(array()), [POSITION, POSITION], [rotation], WINDOW)
+        compute_pose_bound(array(), DEVICE, LEVELS.make_model(array()), [POSITION, POSITION], [rotation], WINDOW)
     with pytest.raises(InputError, match="longer blocks"):
-        narrow = LEVELS.model(array(), 2500.0)
+        narrow = LEVELS.make_model(array(), 2500.0)
         compute_pose_bound(array(), DEVICE, narrow, [POSITION], [rotation], WINDOW, block=6e-5)
     with pytest.raises(InputError, match="longer window"):
         at(array(), ListeningWindow(0.1, 50e3, 0.02))

@@ -33,8 +33,8 @@ def test_frequency_and_damping_are_found_under_the_hum(devices, array, pose_at, 
     half_periods = int(2.0 * device.frequency)
     clean = hear(array, device, pose_at((2, 1, 70), 30.0), half_periods)
     recording = replace(clean, field=clean.field + hum_of(clean.field.shape[1], len(array), 1))
-    believed = replace(device, frequency=device.frequency + 1.3, damping=1.2 * damping)
-    found = measure_ring_down(recording, array, believed)
+    assumed = replace(device, frequency=device.frequency + 1.3, damping=1.2 * damping)
+    found = measure_ring_down(recording, array, assumed)
     assert found.frequency == pytest.approx(device.frequency, abs=5e-3)
     assert found.damping == pytest.approx(damping, rel=0.01)
     assert found.signal_to_noise > 100.0
@@ -83,7 +83,7 @@ def test_constants_and_slow_drifts_change_nothing(along_device, array, pose_at, 
     assert moved.damping == pytest.approx(plain.damping, rel=1e-4)
 
 
-def test_lines_of_the_mains_are_taken_out_of_a_long_window(array, along_device, hear, pose_at):
+def test_mains_lines_are_removed_from_a_long_window(array, along_device, hear, pose_at):
     recording = hear(array, along_device, pose_at((0, 0, 60)), 207)
     only_hum = replace(recording, field=hum_of(recording.field.shape[1], len(array), 4))
     thinned = thin_recording(only_hum, array, along_device.frequency, Hum())

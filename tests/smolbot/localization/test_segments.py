@@ -26,10 +26,10 @@ PLACES = [[38, -39], [-40, -8], [-56, -73], [-75, 67], [-38, -29], [59, -38], [5
 SENSORS = SensorArray(
     np.column_stack([1e-3 * np.array(PLACES), np.zeros(10)]), np.eye(3)[["xyz".index(c) for c in "yzzzxzxyzz"]]
 )
-NOISE = LEVELS.model(SENSORS)
+NOISE = LEVELS.make_model(SENSORS)
 
 
-def heard(device, seconds=0.4, since=0.02, noise=0.0, seed=1) -> Recording:
+def record(device, seconds=0.4, since=0.02, noise=0.0, seed=1) -> Recording:
     time = since + np.arange(round(seconds * RATE)) / RATE
     field = compute_sensor_field(
         SENSORS, device, POSITION, ORIENTATION, compute_deflection(device, time, 0.9 * device.theta_max, 0.7)
@@ -55,7 +55,7 @@ def test_models_are_few():
 
 
 def test_segments_are_of_one_length_and_cover_the_recording():
-    recording = heard(EXPONENTIAL)
+    recording = record(EXPONENTIAL)
     for half_periods in (1, 3, 4):
         segments = list(cut_segments(recording, EXPONENTIAL, half_periods))
         assert len(segments) == int(0.4 * 207) // half_periods
@@ -70,7 +70,7 @@ def test_segments_are_of_one_length_and_cover_the_recording():
 @pytest.mark.parametrize("device", [EXPONENTIAL, LINEAR])
 @pytest.mark.parametrize("estimator", ["whitened", "paper"])
 def test_every_segment_of_clean_data_finds_the_truth(device, estimator):
-    recording = heard(device)
+    recording = record(device)
     poses = Localizer(SENSORS, device, NOISE, estimator).locate_segments(recording, 4)
     assert len(poses) == 20
     for pose in poses:
@@ -84,7 +84,7 @@ def test_every_segment_of_clean_data_finds_the_truth(device, estimator):
 @pytest.mark.parametrize("device", [EXPONENTIAL, LINEAR])
 def test_a_pose_of_the_shot_before_makes_the_first_segment_certain(device):
     """Half a period alone does not tell where in the dark it is; near a known pose it does."""
-    recording = heard(device, seconds=0.1, noise=2e-10)
+    recording = record(device, seconds=0.1, noise=2e-10)
     localizer = Localizer(SENSORS, device, NOISE)
     near = Pose(0.0, POSITION + 1e-3, ORIENTATION, np.eye(6) * 1e-6)
     cold, warm = localizer.locate_segments(recording, 1)[0], localizer.locate_segments(recording, 1, near)[0]
@@ -94,21 +94,21 @@ def test_a_pose_of_the_shot_before_makes_the_first_segment_certain(device):
 
 
 def test_a_pose_that_is_no_longer_true_does_no_harm():
-    recording = heard(EXPONENTIAL, seconds=0.1, noise=2e-10)
+    recording = record(EXPONENTIAL, seconds=0.1, noise=2e-10)
     localizer = Localizer(SENSORS, EXPONENTIAL, NOISE)
     far = Pose(0.0, POSITION + np.array([0.03, -0.03, 0.02]), np.array([0.5, 0.5, 0.5, 0.5]), np.eye(6) * 1e-6)
-    for led, cold in zip(localizer.locate_segments(recording, 2, far), localizer.locate_segments(recording, 2)):
-        assert led.trusted
-        assert led.position == pytest.approx(cold.position, abs=1e-5)
-        assert abs(led.orientation @ cold.orientation) == pytest.approx(1.0, abs=1e-5)
+    for tracked, cold in zip(localizer.locate_segments(recording, 2, far), localizer.locate_segments(recording, 2)):
+        assert tracked.trusted
+        assert tracked.position == pytest.approx(cold.position, abs=1e-5)
+        assert abs(tracked.orientation @ cold.orientation) == pytest.approx(1.0, abs=1e-5)
 
 
-def test_of_two_orientations_that_sound_alike_the_series_keeps_the_known_one():
-    """With the moment along the cantilever a half turn about it changes nothing that is heard."""
+def test_of_two_orientations_with_the_same_signal_the_series_keeps_the_known_one():
+    """With the moment along the cantilever a half turn about it changes no signal."""
     device = replace(EXPONENTIAL, moment_in_body=np.array([0.0, 0.0, 1.0]))
     w, x, y, z = ORIENTATION
     turned = np.array([-z, y, -x, w])
-    recording = heard(device, seconds=0.1)
+    recording = record(device, seconds=0.1)
     for known in (ORIENTATION, turned):
         prior = Pose(0.0, POSITION, known, np.eye(6) * 1e-6)
         poses = Localizer(SENSORS, device, NOISE).locate_segments(recording, 4, prior)
@@ -117,7 +117,7 @@ def test_of_two_orientations_that_sound_alike_the_series_keeps_the_known_one():
 
 def test_amplitude_is_learned_along_the_way():
     """The same segment alone has a vaguer height than at the end of a series."""
-    recording = heard(EXPONENTIAL, noise=2e-10)
+    recording = record(EXPONENTIAL, noise=2e-10)
     localizer = Localizer(SENSORS, EXPONENTIAL, NOISE)
     last = localizer.locate_segments(recording, 4)[-1]
     alone = localizer.locate(list(cut_segments(recording, EXPONENTIAL, 4))[-1], last)
@@ -126,7 +126,7 @@ def test_amplitude_is_learned_along_the_way():
 
 def test_a_slope_in_every_channel_does_not_move_a_pose():
     """A tool or the device itself moves: static fields rise by as much as the signal within a segment."""
-    recording = heard(EXPONENTIAL)
+    recording = record(EXPONENTIAL)
     slopes = 3e-6 * np.random.default_rng(2).standard_normal((10, 1))
     tilted = replace(recording, field=recording.field + slopes * np.arange(recording.field.shape[1]) / RATE)
     poses = Localizer(SENSORS, EXPONENTIAL, NOISE).locate_segments(tilted, 4)
@@ -134,10 +134,10 @@ def test_a_slope_in_every_channel_does_not_move_a_pose():
 
 
 def test_amplitude_belief_narrows_grows_and_gates():
-    start = SharedAmplitude.of(EXPONENTIAL)
+    start = SharedAmplitude.from_device(EXPONENTIAL)
     known = start.update(0.3, 0.001)
     assert (known.mean, known.std) == (0.3, 0.001)
-    later = known.at(EXPONENTIAL, 1.0)
+    later = known.predict(EXPONENTIAL, 1.0)
     assert 0.3 * 0.05 * 1.6 <= later.std < 0.3 * 0.05 * 1.6 * 1.01  # five per cent of the damping, over a second
     doubted = known.update(0.3 + 1.01 * MAX_SIGMAS * 0.001, 0.001)
     assert (doubted.mean, doubted.std) == (0.3, 0.002)

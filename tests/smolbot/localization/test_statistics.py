@@ -23,7 +23,7 @@ def test_circular_mean_and_deviation_are_scipys(angles, turn):
 
 
 @given(angles=ANGLES, turn=st.integers(-3, 3))
-def test_whole_turns_change_no_circular_statistic(angles, turn):
+def test_complete_turns_change_no_circular_statistic(angles, turn):
     plain = np.array(angles)
     turned = plain + 2.0 * np.pi * turn
     assert s.compute_circular_standard_deviation(turned) == pytest.approx(

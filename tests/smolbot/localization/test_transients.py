@@ -1,4 +1,4 @@
-"""The excitation coils' ring-down is learned, and told from a signal."""
+"""The excitation coils' ring-down is learned, and separated from a signal."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_a_learned_ring_down_lets_listening_start_before_it_is_over():
     quiet = [Recording(1e-10 * RNG.normal(size=(10, int(RATE))), RATE, np.inf) for _ in range(5)]
     plain = Localizer(SENSORS, DEVICE, NoiseModel.learn(quiet))
     knowing = plain.with_transients((1.002 * tau,))
-    heard = recording(since, 2, tau)
-    off = [float(np.linalg.norm(x.locate(heard, prior).position - POSITION)) for x in (plain, knowing)]
+    sample = recording(since, 2, tau)
+    off = [float(np.linalg.norm(x.locate(sample, prior).position - POSITION)) for x in (plain, knowing)]
     assert off[1] < 0.3e-3
     assert off[1] < 0.2 * off[0]

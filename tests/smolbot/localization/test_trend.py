@@ -14,7 +14,7 @@ from smolbot.localization.localizer import Localizer
 RATE = 50_000.0
 
 
-def heard(array, device, pose, half_periods, scalpel, seed=0) -> Recording:
+def record(array, device, pose, half_periods, scalpel, seed=0) -> Recording:
     n = round(half_periods * RATE / (2 * device.frequency))
     time = 0.02 + np.arange(n) / RATE
     theta = compute_deflection(device, time, 0.9 * device.theta_max, 0.4)
@@ -31,15 +31,15 @@ def heard(array, device, pose, half_periods, scalpel, seed=0) -> Recording:
 def test_a_passing_scalpel_does_not_move_a_pose(array, across_device, pose_at, half_periods):
     truth = pose_at((0, 0, 80))
     localizer = Localizer(array, across_device)
-    quiet, disturbed = (localizer.locate(heard(array, across_device, truth, half_periods, s), truth) for s in (0, 1))
+    quiet, disturbed = (localizer.locate(record(array, across_device, truth, half_periods, s), truth) for s in (0, 1))
     sigma = np.sqrt(np.diag(disturbed.covariance)[:3])
     assert disturbed.trusted
     assert np.all(np.abs(disturbed.position - quiet.position) < 4.0 * sigma + 2e-5)
 
 
-def test_a_short_quiet_window_pays_nothing_for_it(array, across_device, pose_at):
+def test_a_short_window_without_a_trend_costs_nothing(array, across_device, pose_at):
     truth = pose_at((0, 0, 80))
-    recording = heard(array, across_device, truth, 2, False)
+    recording = record(array, across_device, truth, 2, False)
     localizer = Localizer(array, across_device)
     alone = localizer._locate_with_trend(recording, truth, 0)[0]
     np.testing.assert_array_equal(localizer.locate(recording, truth).position, alone.position)

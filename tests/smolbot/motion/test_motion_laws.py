@@ -39,7 +39,7 @@ def rigid():
 
 
 @given(st.floats(-3.0, 3.0), st.floats(1e-3, 8e-3), st.floats(0.01, 0.1))
-def test_a_rigid_robot_turns_into_a_uniform_field_as_the_closed_form_says(off, size, duration):
+def test_a_rigid_robot_turns_into_a_uniform_field_as_in_closed_form(off, size, duration):
     """tan(angle / 2) falls as exp(-m B t / drag)."""
     field = size * np.array([np.cos(0.3), np.sin(0.3)])
     x, y, heading, _, _, tail = kernels.simulate_window(rigid(), field, NONE, 0.0, 0.0, 0.3 - off, duration, 20)
@@ -84,7 +84,7 @@ def test_the_cantilever_bends_until_its_torque_balances_the_field_s_or_it_stops(
 
 @settings(max_examples=25)
 @given(st.lists(st.floats(0.5, 8.0), min_size=4, max_size=4), st.floats(-3.1, 3.1), st.floats(-9.0, 9.0))
-def test_a_window_is_what_an_independent_integration_says(currents, heading, x_mm):
+def test_a_window_agrees_with_an_independent_integration(currents, heading, x_mm):
     """Same physics, written down as an ODE with the field of the table itself, by scipy."""
     robot, duration = known().robot, 0.06
     place = np.array([x_mm * 1e-3, -3e-3, 0.06])

@@ -29,7 +29,7 @@ def test_a_right_angle_becomes_a_quarter_of_a_circle():
 
 
 @given(st.floats(0.4, 2.9), st.floats(0.1, 1.0))
-def test_an_arc_shortens_any_corner_as_geometry_says(turn, radius):
+def test_an_arc_shortens_any_corner_as_in_geometry(turn, radius):
     corner = np.array([[-30, 0], [0, 0], [30 * np.cos(turn), 30 * np.sin(turn)]])
     shaped = round_corners(corner, radius)
     expected = 60.0 - 2.0 * radius * np.tan(0.5 * turn) + radius * turn
@@ -45,7 +45,7 @@ def test_radius_0_and_smooth_paths_change_nothing():
     assert round_corners(bend, 1.0).points is bend
 
 
-def test_sides_too_short_give_what_they_can_and_it_is_told():
+def test_sides_too_short_get_the_largest_arc_and_a_remark():
     shaped = round_corners(SQUARE, 100.0)
     assert "2 of 2 corners have sides too short for an arc of 100 mm: down to 5.00 mm" in shaped.remarks[0]
     assert length(shaped.points) == pytest.approx(5 + 5 * np.pi + 5, rel=2e-3)

@@ -72,7 +72,7 @@ def test_no_route_is_shorter(name, once, twice):
 
 
 @pytest.mark.parametrize("name", ["i", "j", "!", "?", ":", ";", "=", '"', "%"])
-def test_a_gap_that_no_robot_can_leap_is_bridged_and_told(name):
+def test_a_gap_that_no_robot_can_jump_is_bridged_with_a_remark(name):
     remarks = make_glyph_outline(name, 10.0, 30.0).remarks
     assert any("parts that do not touch" in remark and "bridges the gap" in remark for remark in remarks)
 
@@ -142,7 +142,7 @@ def test_own_letters_come_before_the_font():
     ("name", "words"),
     [("SS", ["one character, got 2", "word"]), (" ", ["known glyphs"]), ("", ["known glyphs"]), ("ä", ["A to Z"])],
 )
-def test_what_is_not_one_printable_character_is_told_so(name, words):
+def test_what_is_not_one_printable_character_is_refused(name, words):
     with pytest.raises(InputError) as error:
         make_glyph(name, 1.0, 1.0)
     for word in words:

@@ -126,7 +126,7 @@ def test_a_csv_file_of_points_may_have_a_header_comments_and_semicolons(tmp_path
         ("", ":", "at least two points; found 0"),
     ],
 )
-def test_a_bad_row_of_a_csv_file_is_told_by_file_and_line(tmp_path, text, where, what):
+def test_a_bad_row_of_a_csv_file_is_reported_with_file_and_line(tmp_path, text, where, what):
     path = tmp_path / "p.csv"
     path.write_text(text)
     with pytest.raises(InputError) as error:

@@ -27,7 +27,7 @@ def circle(radius, n=200):
 
 
 @pytest.mark.parametrize("radius", [1.0, 5.0, 15.0])
-def test_a_circle_is_taken_at_the_speed_that_its_radius_allows(radius):
+def test_a_circle_is_followed_at_the_speed_that_its_radius_allows(radius):
     profile = compute_speed_profile(circle(radius), SPEED, LATERAL)
     expected = min(SPEED, np.sqrt(LATERAL * radius * 1e-3))
     middle = profile.speed[len(profile.speed) // 4 : -len(profile.speed) // 4]

@@ -165,7 +165,7 @@ def test_a_tight_bend_is_no_corner_and_a_corner_no_bend(drawn):
         ("", ["holds no path"]),
     ],
 )
-def test_a_drawing_that_is_no_single_line_is_told_why(drawn, tmp_path, body, words):
+def test_a_drawing_that_is_no_single_line_is_refused_with_the_reason(drawn, tmp_path, body, words):
     with pytest.raises(InputError) as error:
         drawn(body)
     assert str(error.value).startswith(f"{tmp_path}/drawing.svg: ")
@@ -173,7 +173,7 @@ def test_a_drawing_that_is_no_single_line_is_told_why(drawn, tmp_path, body, wor
         assert word in str(error.value)
 
 
-def test_an_unknown_id_is_told_the_known_ones(drawn):
+def test_an_unknown_id_is_refused_with_the_known_ones(drawn):
     with pytest.raises(InputError, match="no element has the id 'c'; shapes with an id: a, b"):
         drawn('<path id="b" d="M 0 0 L 4 4"/><circle id="a" r="3"/>', element="c")
     with pytest.raises(InputError, match="no shape has an id"):
@@ -194,7 +194,7 @@ def test_a_line_without_height_cannot_be_brought_to_one(drawn):
         ("\x00", "not valid"),
     ],
 )
-def test_a_file_that_is_no_svg_is_told_with_its_line(tmp_path, text, words):
+def test_a_file_that_is_no_svg_is_refused_with_its_line(tmp_path, text, words):
     path = tmp_path / "x.svg"
     path.write_text(text)
     with pytest.raises(InputError) as error:
@@ -203,6 +203,6 @@ def test_a_file_that_is_no_svg_is_told_with_its_line(tmp_path, text, words):
     assert words in str(error.value)
 
 
-def test_a_missing_file_is_told(tmp_path):
+def test_a_missing_file_is_reported(tmp_path):
     with pytest.raises(InputError, match=r"nowhere\.svg: cannot be read"):
         read_svg(tmp_path / "nowhere.svg", None, None, None)

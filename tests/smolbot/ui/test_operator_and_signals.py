@@ -45,7 +45,7 @@ def end(self, summary, own=RunFolder.end):
     own(self, summary)
     told["written"] += 1
 
-progress.Progress.__call__, TankRig.stop, RunFolder.end = cycle, stop, end
+progress.PathProgress.__call__, TankRig.stop, RunFolder.end = cycle, stop, end
 try:
     sys.argv[1:] = sys.argv[3:]
     main()
@@ -210,7 +210,7 @@ def test_without_a_terminal_there_is_no_key_and_no_harm():
     read, write = os.pipe()
     with Keyboard(lambda: None, number=read) as keyboard:
         assert not keyboard.active
-        with keyboard.paused():
+        with keyboard.pause():
             pass
     os.close(read)
     os.close(write)
@@ -232,13 +232,13 @@ def test_a_key_stops_a_run_on_a_terminal_with_3(tmp_path):
 ASK = """
     import os, sys
     from smolbot.config.load import load_mission
-    from smolbot.ui.cli.progress import shown_progress
+    from smolbot.ui.cli.progress import show_progress
     from smolbot.ui.cli.stop_key import Keyboard
     from smolbot.core.operator import TerminalOperator
 
     operator = TerminalOperator()
-    with shown_progress(load_mission("line")) as progress, Keyboard(lambda: print("key", flush=True)) as keyboard:
-        operator.pauses += [progress.paused, keyboard.paused]
+    with show_progress(load_mission("line")) as progress, Keyboard(lambda: print("key", flush=True)) as keyboard:
+        operator.pauses += [progress.pause, keyboard.pause]
         print("ready", flush=True)
         for where in ("near", "away", "again"):
             print(where, operator.ask(f"Bring the magnet {where}", 30.0), flush=True)

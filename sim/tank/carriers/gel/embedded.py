@@ -35,7 +35,7 @@ class Embedded:
     rig : RigConfig
     robot : RobotConfig
     settings : TankSettings
-    truth : Truth
+    truth : TankTruth
     start : ndarray, shape (2,) or (3,)
         Requested start position (x, y in m) and, optionally, heading (rad), world frame.
     seed : int
@@ -49,8 +49,8 @@ class Embedded:
     """
 
     def __init__(
-        self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: TankTruth, start: FloatArray, seed: int,
-        *, ideal: bool = False,
+        self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, truth: TankTruth, start: FloatArray,
+        seed: int, *, ideal: bool = False,
     ) -> None:  # fmt: skip
         draws, self._operator_rng = make_gel_generators(seed)
         own = sample_gel(settings, draws, ideal=ideal)

@@ -206,11 +206,9 @@ class Link:
                     if (fault := find_version_fault(identity)) is not None:
                         raise self.make_error("checking the firmware's version", fault)
                     return self._discard_rest(identity, action)
-        said = f"heard only {heard[:60]!r}" if heard else "heard nothing"
-        raise self.make_error(
-            action,
-            f"{said} within {boot:g} s; is the firmware (version {PROTOCOL_VERSION[0]}.{PROTOCOL_VERSION[1]} is needed) on it?",
-        )
+        answer = f"received only {heard[:60]!r}" if heard else "received nothing"
+        version = "version {}.{}".format(*PROTOCOL_VERSION)
+        raise self.make_error(action, f"{answer} within {boot:g} s; is the firmware ({version} is needed) on it?")
 
     def _discard_rest(self, identity: tuple[str, ...], action: str) -> tuple[str, ...]:
         """Discard the second of banner and answer, since both may come."""

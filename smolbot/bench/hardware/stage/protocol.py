@@ -198,5 +198,6 @@ def find_version_fault(identity: tuple[str, ...]) -> str | None:
     except ValueError:
         return f"got '{got}', needs {needed}"
     if name != FIRMWARE_NAME or major != PROTOCOL_VERSION[0] or minor < PROTOCOL_VERSION[1]:
-        return f"got '{got}', needs {needed} or a later {PROTOCOL_VERSION[0]}.x; upload the firmware that came with smolbot"
+        later = f"{PROTOCOL_VERSION[0]}.x"
+        return f"got '{got}', needs {needed} or a later {later}; upload the firmware that came with smolbot"
     return None

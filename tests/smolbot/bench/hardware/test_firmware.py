@@ -23,7 +23,7 @@ def rising(edges, pin):
 def test_it_boots_disarmed_and_says_who_it_is(uno, wire):
     uno.reset()
     assert wire.ask(b"\n" + format_line(1, "BEAT"), b"1 OK OFF IDLE NONE NONE 0 0*")
-    assert b"! HELLO smolbot-magnet-stage 1.0 NONE*" in wire.heard
+    assert b"! HELLO smolbot-magnet-stage 1.0 NONE*" in wire.received
     assert not uno.enabled
     assert wire.ask(format_line(2, "MOVE 100 800 0 0"), b"2 ERR DISARMED*")
     assert uno.steps == (0, 0)

@@ -160,7 +160,7 @@ def desk(section: BenchSection, monkeypatch: pytest.MonkeyPatch) -> Iterator[Des
             self.alive = False
             made.say("joined")
 
-    threads = SimpleNamespace(Event=Bell, Thread=Thread, Lock=threading.Lock, current_thread=lambda: made.is_inside)
+    threads = SimpleNamespace(Event=Bell, Thread=Thread, Lock=threading.Lock, current_thread=lambda: made.inside)
     monkeypatch.setattr("smolbot.bench.hardware.guard.threading", threads)
     monkeypatch.setattr("smolbot.bench.hardware.guard.time", SimpleNamespace(monotonic=lambda: made.now))
     monkeypatch.setattr("nidaqmx.stream_readers.DigitalMultiChannelReader", Reader)
@@ -171,7 +171,7 @@ def desk(section: BenchSection, monkeypatch: pytest.MonkeyPatch) -> Iterator[Des
 def a_guard(desk: Desk, **wiring: Any) -> Guard:
     desk.section = desk.section.model_copy(update=wiring)
     desk.driver = Driver("", 0.5)
-    desk.driver.task, desk.driver.watchdog = desk.task, desk.watchdog  # type: ignore[method-assign]
+    desk.driver.task, desk.driver.make_watchdog = desk.task, desk.make_watchdog  # type: ignore[method-assign]
     return Guard(desk.section, desk.driver, desk.told.append)
 
 
@@ -285,7 +285,7 @@ def test_a_pressed_button_is_told_of_once_within_two_looks_and_ends_the_feeding(
     desk.live(1.0)
     (error,) = desk.told
     assert isinstance(error, OperatorStopError)
-    assert str(error) == guard.pressed()
+    assert str(error) == guard.describe_pressed_button()
     assert f"{section.device}/{section.operator.stop_line} is low" in str(error)
     assert not desk.threads[0].alive
     assert desk.times("read")[-1] <= 0.2 + 2e-3 * section.watchdog.feed_ms
@@ -333,7 +333,7 @@ def test_a_card_that_fails_while_the_guard_is_closed_is_nobodys_fault(desk):
         guard.close()
         raise GONE
 
-    desk.is_inside = desk.threads[0]
+    desk.inside = desk.threads[0]
     desk.at(0.107, leave)  # while it reads
     desk.reading = 0.004
     desk.live(1.0)
@@ -398,14 +398,14 @@ def test_without_lines_nothing_is_read_and_the_watchdog_is_fed_all_the_same(desk
     desk.live(0.2)
     assert not desk.times("read")
     assert len(desk.times("feed")) > 10
-    assert guard.pressed() is None
+    assert guard.describe_pressed_button() is None
     assert [item.what for item in guard.checks("card")] == ["watchdog"]
     guard.close()
     assert not desk.times("inputs close")
 
 
 def test_a_button_that_was_not_read_yet_is_not_pressed(desk):
-    assert a_guard(desk).pressed() is None
+    assert a_guard(desk).describe_pressed_button() is None
 
 
 def test_a_check_starts_feeds_and_stops_it_and_reads_the_lines_anew(desk, section):

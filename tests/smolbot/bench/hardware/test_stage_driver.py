@@ -190,7 +190,7 @@ def test_a_port_where_nobody_answers_is_said_to_be_silent(tmp_path):
 
     master, slave = pty.openpty()
     try:
-        with pytest.raises(RigError, match=r"waiting for the banner: heard nothing within 0\.3 s"):
+        with pytest.raises(RigError, match=r"waiting for the banner: received nothing within 0\.3 s"):
             links.Link(os.ttyname(slave), 115200, boot=0.3)
     finally:
         os.close(master)

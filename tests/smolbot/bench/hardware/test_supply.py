@@ -54,12 +54,12 @@ def test_what_is_set_is_what_the_supply_holds_and_reads_back(server, supply):
 def test_only_channels_of_the_rig_file_follow_the_switch_and_give_what_their_load_takes(server, supply):
     server.model.outputs[1].selected = True  # as someone left it at the front
     supply.configure()
-    supply.on()
+    supply.switch_on()
     assert server.model.on == (True, False, True, False)
     one, three = supply.read_back()
     assert (one.measured_voltage, one.measured_current) == (24.0, 4.0)
     assert three.measured_voltage == pytest.approx(12.5)
-    supply.off()
+    supply.switch_off()
     assert server.model.on == (False,) * 4
     assert supply.read_back()[0].measured_voltage == 0.0
 
@@ -122,11 +122,11 @@ def test_a_supply_that_fails_ends_within_its_deadline_and_is_named(server, fault
     if moment == "switching on":
         supply.configure()
     server.inject(fault)
-    act = supply.configure if moment == "setting" else supply.on
+    act = supply.configure if moment == "setting" else supply.switch_on
     with pytest.raises(RigError, match=f"power supply at 127.0.0.1:{server.port}: cannot "):
         act()
     server.inject(None)
-    supply.off()  # a fresh connection: no late answer is taken for this one's
+    supply.switch_off()  # a fresh connection: no late answer is taken for this one's
     assert server.model.on == (False,) * 4
     supply.close()
 
@@ -164,14 +164,14 @@ def test_off_from_another_thread_wins_over_switching_on(server, supply):
         def switch_on(ready: threading.Barrier = ready, told: list[str] = told) -> None:
             ready.wait()
             try:
-                supply.on()
+                supply.switch_on()
             except RigError as error:
                 told.append(str(error))
 
         other = threading.Thread(target=switch_on)
         other.start()
         ready.wait()
-        supply.off()
+        supply.switch_off()
         other.join()
         assert not any(server.model.on)
         assert all("it was switched off since its channels were set" in said for said in told)
@@ -179,17 +179,17 @@ def test_off_from_another_thread_wins_over_switching_on(server, supply):
 
 def test_it_is_not_switched_on_before_its_limits_are_set(server, supply):
     with pytest.raises(RigError, match="cannot switch the outputs on: its channels were not set"):
-        supply.on()
+        supply.switch_on()
     supply.configure()
-    supply.off()
+    supply.switch_off()
     with pytest.raises(RigError, match="switched off since"):
-        supply.on()
+        supply.switch_on()
     assert not any(server.model.on)
 
 
 def test_off_behind_a_stalled_exchange_ends_and_says_that_outputs_may_be_on(server, supply):
     supply.configure()
-    supply.on()
+    supply.switch_on()
     server.inject("stalled")
 
     def ask() -> None:
@@ -199,18 +199,18 @@ def test_off_behind_a_stalled_exchange_ends_and_says_that_outputs_may_be_on(serv
     asking = threading.Thread(target=ask)
     asking.start()
     with pytest.raises(RigError, match=r"switch the outputs off \(they may be on\): no answer within 300 ms"):
-        supply.off()
+        supply.switch_off()
     asking.join()
     server.inject(None)
-    supply.off()
-    supply.off()
+    supply.switch_off()
+    supply.switch_off()
     assert not any(server.model.on)
 
 
 def test_it_may_be_closed_again_and_again_and_leaves_all_off(server):
     supply = Supply(section(server.address))
     supply.configure()
-    supply.on()
+    supply.switch_on()
     supply.close()
     supply.close()
     assert not any(server.model.on)

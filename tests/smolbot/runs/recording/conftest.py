@@ -77,7 +77,7 @@ def chunked(recorded: tuple[Run, Path], tmp_path_factory: pytest.TempPathFactory
     """The record of that flight, flushed as if it had lasted longer: in many chunks, the same on any machine."""
     path = tmp_path_factory.mktemp("chunked") / "run.mcap"
     file = McapFile(path)
-    for number, found in enumerate(Scan(recorded[1] / "run.mcap").messages()):
+    for number, found in enumerate(Scan(recorded[1] / "run.mcap").read_messages()):
         assert found.topic is not None
         file.append(found.topic, found.time, found.data)
         if number == 0 or number % 20 == 5:

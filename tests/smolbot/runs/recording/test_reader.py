@@ -40,7 +40,7 @@ def test_what_is_read_is_what_was_flown_bit_for_bit(recorded, whole, same_cycle)
     found = read_run(recorded[1])
     read = found.run()
     assert found.whole
-    assert (found.lost_bytes, found.dropped, found.messages_without_topic) == (0, 0, 0)
+    assert (found.lost, found.dropped, found.nameless) == (0, 0, 0)
     assert len(read.cycles) == len(run.cycles)
     assert all(same_cycle(a, b) for a, b in zip(read.cycles, run.cycles))
     assert [(e.time, e.what) for e in read.events] == [(e.time, e.what) for e in run.events]
@@ -55,7 +55,7 @@ def test_another_reader_of_mcap_finds_the_same_messages_by_the_index(recorded, w
         assert reader.get_header().profile == "smolbot"
         found = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages(log_time_order=False)]
         assert reader.get_summary().statistics.message_count == whole.messages
-    assert [tuple(m) for m in Scan(whole.path).messages()] == found
+    assert [tuple(m) for m in Scan(whole.path).read_messages()] == found
 
 
 def test_the_mission_of_a_record_is_the_mission_that_was_flown(whole, recorded):
@@ -108,7 +108,7 @@ def test_a_damaged_byte_costs_its_chunk_and_nothing_else(recorded, whole, tmp_pa
         hurt.write_bytes(broken)
         read = read_run(hurt)
         assert not read.whole
-        assert end - begin <= read.lost_bytes < end - begin + 2000, at
+        assert end - begin <= read.lost < end - begin + 2000, at
         assert read.end == whole.end
         known = dict(zip(whole.number_of_cycle, whole.run().cycles))
         assert all(same_cycle(c, known[n]) for n, c in zip(read.number_of_cycle, read.run().cycles))
@@ -154,7 +154,7 @@ def test_what_is_no_record_is_told_in_one_line(make, told, tmp_path, foreign):
 
 
 def test_messages_that_parse_but_make_no_sense_are_an_input_error(recorded, tmp_path):
-    begin = next(Scan(recorded[1] / "run.mcap").messages())
+    begin = next(Scan(recorded[1] / "run.mcap").read_messages())
     path = tmp_path / "odd.mcap"
     with path.open("wb") as file:
         writer = mcap.writer.Writer(file)
@@ -180,7 +180,7 @@ def test_channels_whose_first_mention_is_damaged_are_known_from_the_end(recorded
     hurt = tmp_path / "hurt.mcap"
     hurt.write_bytes(data)
     read = read_run(hurt)
-    assert read.messages_without_topic == 0
+    assert read.nameless == 0
     assert read.moments
 
 

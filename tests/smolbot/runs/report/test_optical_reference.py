@@ -47,7 +47,7 @@ def test_poses_are_compared_with_what_the_camera_saw_at_their_times(filmed):
     inside = [np.linalg.norm((p.position - t.position - OFF)[:2]) for p, t in known if p.time in seen.times]
     assert len(seen.times) >= 0.8 * len(known)
     np.testing.assert_allclose(seen.distances, inside, atol=1e-9)
-    assert np.degrees(np.median(seen.turned)) == pytest.approx(-2.0, abs=1.5)
+    assert np.degrees(np.median(seen.heading_errors)) == pytest.approx(-2.0, abs=1.5)
     names = [row[0] for row in format_optical_rows(filmed, seen)]
     assert "robot as seen to the path, mm" in names
 

@@ -166,7 +166,7 @@ def test_a_report_that_fails_costs_the_report_alone(tmp_path, monkeypatch):
     def broken(*_):
         raise RuntimeError("no ink")
 
-    monkeypatch.setattr(report, "report_of", broken)
+    monkeypatch.setattr(report, "build_report", broken)
     run = fly(brief, 3, folder=RunFolder(tmp_path / "run"), report=True)
     assert run.status == "timeout"
     assert run.report == "could not be written: RuntimeError: no ink"
@@ -181,7 +181,7 @@ def test_flying_loads_no_matplotlib():
 
 
 def test_the_page_goes_where_it_is_asked_to(flight, tmp_path, monkeypatch):
-    monkeypatch.setattr(report, "report_of", lambda _: "page")
+    monkeypatch.setattr(report, "build_report", lambda _: "page")
     assert save_report(flight, tmp_path / "own.html") == tmp_path / "own.html"
     with pytest.raises(InputError, match=r"nowhere.*cannot be written"):
         save_report(flight, tmp_path / "nowhere" / "own.html")
@@ -299,7 +299,7 @@ def said(capsys, monkeypatch, *words):
 
 
 def test_the_command_writes_pages_and_speaks_json(folder, other, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(report, "report_of", lambda _: "page")
+    monkeypatch.setattr(report, "build_report", lambda _: "page")
     code, out, _ = said(capsys, monkeypatch, folder, "--out", tmp_path / "one.html", "--json")
     assert code == 0
     assert json.loads(out)["report"] == str(tmp_path / "one.html")

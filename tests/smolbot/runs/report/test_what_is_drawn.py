@@ -36,10 +36,10 @@ def test_fits_leave_as_much_as_quiet_windows_hold(flight):
     """Away from the lines, the spectrum of residuals is that of the noise: the model at the recorded pose is right."""
     windows = list(fit_windows(flight, 30))
     assert len(windows) > 20
-    n = min(window.left.shape[1] for window in windows)
-    grid, left = compute_density([window.left for window in windows], 1.0 / BLOCK_DURATION)
+    n = min(window.residuals.shape[1] for window in windows)
+    grid, left = compute_density([window.residuals for window in windows], 1.0 / BLOCK_DURATION)
     _, quiet = compute_density(cut_background(find_background_recordings(flight), n, 0), 1.0 / BLOCK_DURATION)
-    _, heard = compute_density([window.heard[window.used] for window in windows], 1.0 / BLOCK_DURATION)
+    _, heard = compute_density([window.measured[window.used] for window in windows], 1.0 / BLOCK_DURATION)
     above = (grid > 350.0) & (grid < 2000.0)
     assert np.median(left[above] / quiet[above]) == pytest.approx(1.0, abs=0.12)
     near = np.argmin(abs(grid - flight.mission.robot.device.frequency))
@@ -52,7 +52,7 @@ def test_a_wrong_pose_leaves_more(flight):
     windows = list(fit_windows(flight, 5))
     moved = replace(flight, record=replace(flight.record, moments=[_shifted(m, 12e-3) for m in flight.record.moments]))
     other = list(fit_windows(moved, 5))
-    assert sum(np.sum(w.left**2) for w in other) > 1.5 * sum(np.sum(w.left**2) for w in windows)
+    assert sum(np.sum(w.residuals**2) for w in other) > 1.5 * sum(np.sum(w.residuals**2) for w in windows)
 
 
 def _shifted(moment, by):
@@ -117,14 +117,14 @@ def test_a_difference_is_the_difference_and_its_interval_holds_it():
     assert 0.0 < found.low < found.value < found.high
 
 
-def test_a_trail_goes_through_poses_in_straight_lines(flight):
+def test_a_track_goes_through_poses_in_straight_lines(flight):
     truths = [m.truth for m in flight.trace.moments if m.truth is not None]
-    trail = InterpolatedTrack.of(truths, np.array([1.0, 0.0, 0.0]))
-    first, second = trail.times[:2]
-    place, heading = trail.at(0.5 * (first + second))
-    np.testing.assert_allclose(place, 0.5 * (trail.places[0] + trail.places[1]), atol=1e-12)
-    np.testing.assert_allclose(heading, 0.5 * (trail.headings[0] + trail.headings[1]), atol=1e-9)
+    track = InterpolatedTrack.from_poses(truths, np.array([1.0, 0.0, 0.0]))
+    first, second = track.times[:2]
+    place, heading = track.interpolate(0.5 * (first + second))
+    np.testing.assert_allclose(place, 0.5 * (track.positions[0] + track.positions[1]), atol=1e-12)
+    np.testing.assert_allclose(heading, 0.5 * (track.headings[0] + track.headings[1]), atol=1e-9)
     beside = np.array([[0.0, 1e-2, 0.0]])
-    through = trail.with_positions(np.array([0.5 * (first + second)]), beside)
-    np.testing.assert_allclose(through.at(0.5 * (first + second))[0], beside[0])
-    assert np.isnan(InterpolatedTrack.of([], np.array([1.0, 0.0, 0.0])).at(0.0)[0]).all()
+    through = track.with_positions(np.array([0.5 * (first + second)]), beside)
+    np.testing.assert_allclose(through.interpolate(0.5 * (first + second))[0], beside[0])
+    assert np.isnan(InterpolatedTrack.from_poses([], np.array([1.0, 0.0, 0.0])).interpolate(0.0)[0]).all()

@@ -82,9 +82,9 @@ def test_strangers_stop_nothing(opened: OpenConsole) -> None:
     assert _ask(opened, "/stop?key=guess") == (403, "Only a page of this console may stop a mission.\n")
     status, words = _ask(opened, f"/stop?key={opened.access.key}", Origin="http://evil.example")
     assert (status, words) == (403, "A page of http://evil.example may not use this console.\n")
-    assert opened.page.bar.heard == []
+    assert opened.page.bar.stop_times == []
     assert _ask(opened, f"/stop?key={opened.access.key}")[0] == 200
-    assert len(opened.page.bar.heard) == 1
+    assert len(opened.page.bar.stop_times) == 1
 
 
 @pytest.mark.parametrize(

@@ -25,26 +25,26 @@ def flight(runs: Path) -> FlightState:
 def test_every_cycle_of_the_record_is_there(flight: FlightState, runs: Path) -> None:
     recorded = read_run(runs / "line")
     cycles = [moment.cycle for moment in recorded.moments]
-    believed = np.array([1e3 * c.tracked.position for c in cycles if c.tracked is not None])
-    assert np.array_equal(flight.tracked.values()[:, :3], believed)
-    assert np.array_equal(flight.cycles.times(), [c.ended for c in cycles])
+    estimated = np.array([1e3 * c.tracked.position for c in cycles if c.tracked is not None])
+    assert np.array_equal(flight.tracked.get_values()[:, :3], estimated)
+    assert np.array_equal(flight.cycles.get_times(), [c.ended for c in cycles])
     run = recorded.run()
     assert run.true_trail is not None
-    assert np.allclose(flight.true.values(), 1e3 * run.true_trail)
+    assert np.allclose(flight.true.get_values(), 1e3 * run.true_trail)
     assert flight.ending is not None
     assert (flight.ending.status, flight.ending.reason) == (run.status, run.stop_reason)
 
 
-def test_heat_of_the_coils_is_what_the_flight_reckoned(flight: FlightState, runs: Path) -> None:
+def test_heat_of_the_coils_is_what_the_flight_estimated(flight: FlightState, runs: Path) -> None:
     peaks = read_run(runs / "line").run().safety["coil_temperature_peak_c"]
     assert isinstance(peaks, dict)
-    shown = flight.heat.values().max(axis=0)
+    shown = flight.heat.get_values().max(axis=0)
     assert shown == pytest.approx([peaks[name] for name in flight.heated], abs=0.05)
 
 
 def test_a_look_back_shows_only_what_was_known_then(flight: FlightState) -> None:
-    middle = 0.5 * (flight.cycles.times()[0] + flight.latest)
-    assert 0 < flight.cycles.until(middle) < len(flight.cycles)
+    middle = 0.5 * (flight.cycles.get_times()[0] + flight.latest)
+    assert 0 < flight.cycles.count_until(middle) < len(flight.cycles)
     for times, _ in collect_series(flight, middle).values():
         assert len(times) == 0 or times[-1] <= middle
     assert make_bar_state(flight, False, "", middle)["state"] not in ("TIMEOUT", "COMPLETED")
@@ -80,7 +80,7 @@ def test_what_is_no_record_is_one_clear_error(tmp_path: Path) -> None:
 
 def test_a_record_that_was_cut_short_shows_what_is_in_it(runs: Path, tmp_path: Path, flight: FlightState) -> None:
     often = McapFile(tmp_path / "often.mcap")  # flushed as by a run that does not fly past in a second
-    for number, found in enumerate(Scan(runs / "line" / "run.mcap").messages()):
+    for number, found in enumerate(Scan(runs / "line" / "run.mcap").read_messages()):
         assert found.topic is not None
         often.append(found.topic, found.time, found.data)
         if number % 20 == 0:
@@ -91,5 +91,5 @@ def test_a_record_that_was_cut_short_shows_what_is_in_it(runs: Path, tmp_path: P
     cut = read_flight(tmp_path)
     n = len(cut.cycles)
     assert 0 < n < len(flight.cycles)
-    assert np.array_equal(cut.cycles.values(), flight.cycles.values()[:n], equal_nan=True)
+    assert np.array_equal(cut.cycles.get_values(), flight.cycles.get_values()[:n], equal_nan=True)
     assert cut.ending is None

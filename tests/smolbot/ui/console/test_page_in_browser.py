@@ -54,13 +54,13 @@ def flying(opened: OpenConsole, page: Browser, mission: Mission) -> Iterator[Fee
     for number, (topic, data) in enumerate(stream_messages(f"{opened.console.runs}/line")):
         if topic not in ("/run/end", "/windows"):
             feed.put(topic, number, data)
-    page.until("state", ("FLYING", "APPROACHING"))
+    page.wait_for_text("state", ("FLYING", "APPROACHING"))
     yield feed
     feed.end()
 
 
 def test_a_page_without_a_mission_says_so(page: Browser) -> None:
-    assert page.text("state") == "IDLE"
+    assert page.read_text("state") == "IDLE"
     assert not page.read_errors()
 
 
@@ -93,7 +93,7 @@ def test_a_page_that_is_closed_stops_nothing(
 ) -> None:
     page.driver.get("about:blank")
     page.open(opened.access.address)
-    assert page.text("state") in ("FLYING", "APPROACHING")
+    assert page.read_text("state") in ("FLYING", "APPROACHING")
     assert not mission.latch.tripped
 
 
@@ -104,18 +104,18 @@ def test_pause_and_resume(flying: Feed, page: Browser, mission: Mission) -> None
     page.driver.find_element("id", "pause").click()
     assert mission.held.wait(20.0)
     flying.put("/events", 0, encode_event(Event(99.0, "paused")).SerializeToString())  # as the loop says it
-    page.until("state", ("PAUSED",))
-    assert page.until("pause", ("Resume",))
+    page.wait_for_text("state", ("PAUSED",))
+    assert page.wait_for_text("pause", ("Resume",))
     page.driver.find_element("id", "pause").click()
     assert mission.resumed.wait(20.0)
     flying.put("/events", 0, encode_event(Event(99.1, "resumed")).SerializeToString())
-    page.until("state", ("FLYING", "APPROACHING"))
+    page.wait_for_text("state", ("FLYING", "APPROACHING"))
 
 
 def test_a_mission_whose_process_is_gone_is_shown_as_failed(opened: OpenConsole, flying: Feed, page: Browser) -> None:
     flying._sock.close()  # as the system does to a process that was killed
-    page.until("state", ("FAILED",))
-    assert "its process is gone" in page.text("note")
+    page.wait_for_text("state", ("FAILED",))
+    assert "its process is gone" in page.read_text("note")
 
 
 def test_a_recorded_run_is_looked_through(opened: OpenConsole, page: Browser) -> None:
@@ -124,13 +124,13 @@ def test_a_recorded_run_is_looked_through(opened: OpenConsole, page: Browser) ->
     runs.open("line")
     try:
         assert runs.flight is not None
-        page.until("state", ("▶ TIMEOUT",))
-        last = page.text("time")
+        page.wait_for_text("state", ("▶ TIMEOUT",))
+        last = page.read_text("time")
         runs.at.value = round(0.5 * runs.flight.latest, 1)
-        page.until("time", (f"{runs.at.value:.1f}",))
-        assert page.text("time") != last
-        assert page.text("state") != "▶ TIMEOUT"
-        assert page.text("mission").endswith("recorded")
+        page.wait_for_text("time", (f"{runs.at.value:.1f}",))
+        assert page.read_text("time") != last
+        assert page.read_text("state") != "▶ TIMEOUT"
+        assert page.read_text("mission").endswith("recorded")
     finally:
         runs.leave()
 
@@ -138,7 +138,7 @@ def test_a_recorded_run_is_looked_through(opened: OpenConsole, page: Browser) ->
 def test_clicks_on_the_liquid_draw_a_path(opened: OpenConsole, page: Browser) -> None:
     drawing = opened.page.drawing
     opened.page.starting.choose()
-    drawing._turn(True)
+    drawing._set_active(True)
     drawn: list[Any] = []
     try:
         canvas = max(page.driver.find_elements("tag name", "canvas"), key=lambda c: c.size["width"] * c.size["height"])
@@ -148,7 +148,7 @@ def test_clicks_on_the_liquid_draw_a_path(opened: OpenConsole, page: Browser) ->
             count = len(drawing.points)
             for _ in range(50):  # the page may still load what makes it listen
                 ActionChains(page.driver).move_to_element_with_offset(canvas, x, y).click().perform()
-                page.text("state")
+                page.read_text("state")
                 if len(drawing.points) > count:
                     break
             drawn.append(drawing.points[-1])
@@ -160,7 +160,7 @@ def test_clicks_on_the_liquid_draw_a_path(opened: OpenConsole, page: Browser) ->
         assert "points_mm" in path.read_text(encoding="utf-8")
     finally:
         drawing._take_back("Clear")
-        drawing._turn(False)
+        drawing._set_active(False)
 
 
 def test_a_page_without_the_token_shows_why(opened: OpenConsole, page: Browser) -> None:

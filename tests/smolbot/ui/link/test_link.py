@@ -78,18 +78,18 @@ def heard() -> Heard:
 
 @pytest.fixture
 def console(heard: Heard, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[ConsoleServer, Console]]:
-    """An open gate, and how it is written down."""
+    """A running console server, and its file entry."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     secret = make_secret()
-    gate = ConsoleServer(secret, heard, lambda asked: _stop_all(gate, asked), heard.tell)
-    yield gate, Console(1, gate.port, secret, "http://127.0.0.1:1/", 1, str(tmp_path))
-    gate.close()
+    server = ConsoleServer(secret, heard, lambda asked: _stop_all(server, asked), heard.tell)
+    yield server, Console(1, server.port, secret, "http://127.0.0.1:1/", 1, str(tmp_path))
+    server.close()
 
 
-def _stop_all(gate: ConsoleServer, asked: str) -> list[dict[str, Any]]:
+def _stop_all(server: ConsoleServer, asked: str) -> list[dict[str, Any]]:
     told = []
-    for line in gate.lines:
-        line.order(Kind.STOP, asked)
+    for line in server.connections:
+        line.send_order(Kind.STOP, asked)
         line.answered.wait(20.0)
         told.append({"mission": line.about["mission"], "stopped": line.stopped is not None})
     return told
@@ -119,7 +119,7 @@ def test_messages_arrive_whole_and_in_order(flown: Feed, heard: Heard) -> None:
     assert flown.dropped == 0
 
 
-def test_stop_shuts_the_latch_and_halts_in_the_thread_that_hears_it(
+def test_stop_trips_the_latch_and_halts_in_the_thread_that_receives_it(
     console: tuple[ConsoleServer, Console], flown: Feed, mission: Mission
 ) -> None:
     with console[1].connect() as sock:
@@ -132,11 +132,11 @@ def test_stop_shuts_the_latch_and_halts_in_the_thread_that_hears_it(
 def test_pause_and_resume_reach_the_loop(flown: Feed, mission: Mission, heard: Heard) -> None:
     held = threading.Event()
     mission.pause.hold = held.set  # type: ignore[method-assign]
-    heard.lines[0].order(Kind.PAUSE)
+    heard.lines[0].send_order(Kind.PAUSE)
     assert held.wait(20.0)
     resumed = threading.Event()
     mission.pause.resume = resumed.set  # type: ignore[method-assign]
-    heard.lines[0].order(Kind.RESUME)
+    heard.lines[0].send_order(Kind.RESUME)
     assert resumed.wait(20.0)
     assert not mission.latch.tripped
 
@@ -147,7 +147,7 @@ def test_a_console_that_goes_stops_the_mission(how: str, flown: Feed, mission: M
     if how == "closed":
         sock.shutdown(socket.SHUT_RDWR)  # what the system does to a process that was killed
     elif how == "good-bye":
-        heard.lines[0].order(Kind.BYE)
+        heard.lines[0].send_order(Kind.BYE)
     else:
         sock.sendall(b"\xff" * 64)
     assert mission.halted.wait(20.0)
@@ -161,7 +161,7 @@ def test_a_console_that_says_nothing_any_more_stops_the_mission(
     monkeypatch.setattr(feeding, "SILENCE_TIMEOUT", 0.2)
     feed = Feed(console[1].connect(), {"mission": "m"}, mission.latch, mission.pause)
     feed.begin()
-    heard.wait(lambda: heard.lines)  # a page that beats no more: nobody calls gate.beat()
+    heard.wait(lambda: heard.lines)  # a page that beats no more: nobody calls server.beat()
     assert mission.halted.wait(20.0)
     assert "no sign of life" in mission.latch.reason
     feed.end()
@@ -174,7 +174,7 @@ def test_signs_of_life_are_no_orders_and_a_good_bye_ends_nothing(
         console[0].send_heartbeats()
     held = threading.Event()
     mission.pause.hold = held.set  # type: ignore[method-assign]
-    heard.lines[0].order(Kind.PAUSE)
+    heard.lines[0].send_order(Kind.PAUSE)
     assert held.wait(20.0)  # all that came before it was heard
     assert not mission.latch.tripped
     flown.end()

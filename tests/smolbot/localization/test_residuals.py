@@ -1,4 +1,4 @@
-"""What a fit leaves in a channel is noise as foretold, or says which sensor has changed."""
+"""Fit residuals of a channel are noise as predicted, or show which sensor has changed."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def watched(array, device, truth, clean, louder, shots=60, seed=0):
 
 
 @pytest.mark.parametrize("half_periods", [2, 6, 20])
-def test_of_noise_as_foretold_the_energy_left_is_the_expected_one(array, devices, pose_at, hear, half_periods):
+def test_of_noise_as_predicted_the_residual_energy_is_the_expected_one(array, devices, pose_at, hear, half_periods):
     truth = pose_at((2, -3, 75))
     clean = hear(array, devices["along"], truth, half_periods)
     found, expected = watched(array, devices["along"], truth, clean, {}, shots=40)
@@ -61,10 +61,10 @@ def test_a_sensor_that_became_noisier_is_the_one_that_stands_out(array, devices,
     ratios = found / expected
     assert np.argmax(ratios) == 3
     assert ratios[3] == pytest.approx(power, rel=0.3)
-    assert np.all(np.delete(ratios, 3) < 0.3 * power + 0.2)  # they were foretold with its help
+    assert np.all(np.delete(ratios, 3) < 0.3 * power + 0.2)  # they were predicted with its help
 
 
-def test_a_silent_sensor_is_not_judged(array, devices, pose_at, hear):
+def test_a_constant_sensor_is_not_evaluated(array, devices, pose_at, hear):
     truth = pose_at((2, -3, 75))
     recording = hear(array, devices["along"], truth)
     recording.field[:] += noise_of(array, recording.field.shape[1], np.random.default_rng(1), {})
@@ -87,7 +87,7 @@ def test_the_refreshed_model_has_the_covariance_of_the_new_noise(array):
     assert np.linalg.eigvalsh(after).min() > 0.0
 
 
-def test_the_watch_waits_until_it_is_sure_and_then_starts_anew():
+def test_the_monitor_waits_for_significance_and_then_starts_anew():
     rng, watch = np.random.default_rng(5), NoiseMonitor(3)
     answers = [watch.update(rng.chisquare(20, 3) * [1.0, 4.0, 1.0], np.full(3, 20.0)) for _ in range(40)]
     given = [a for a in answers if a is not None]
@@ -96,7 +96,7 @@ def test_the_watch_waits_until_it_is_sure_and_then_starts_anew():
         assert ratios == pytest.approx([1.0, 4.0, 1.0], rel=0.3)
 
 
-def test_the_watch_keeps_quiet_over_noise_as_foretold_and_takes_no_leap():
+def test_the_monitor_reports_nothing_for_noise_as_predicted_and_limits_a_change():
     rng, watch = np.random.default_rng(6), NoiseMonitor(10)
     assert all(watch.update(rng.chisquare(20, 10), np.full(10, 20.0)) is None for _ in range(4000))
     leap = [watch.update(np.array([2e6]), np.array([20.0])) for watch in [NoiseMonitor(1)] for _ in range(20)][-1]

@@ -1,4 +1,4 @@
-"""The pump: the loop never waits for a sink, and what a sink could not take is counted and told."""
+"""The queue: the loop never waits for a sink, and what a sink could not take is counted and told."""
 
 from __future__ import annotations
 
@@ -82,25 +82,25 @@ def recording(n=10):
     return Recording(np.zeros((2, n)), 1e4, 0.01, clock=1.1)
 
 
-def blocked(pump, gate):
-    """A pump whose thread stands in its sink with the first message."""
-    pump.happened(Event(0.5, "first"))
+def blocked(queue, gate):
+    """A queue whose thread waits in its sink with the first message."""
+    queue.record_event(Event(0.5, "first"))
     assert gate.came.wait(60)
 
 
 def test_a_sink_that_blocks_stops_no_one_and_what_does_not_fit_is_counted(converter):
     gate = Gate()
-    pump = MessageQueue(gate, converter, capacity=3)
-    blocked(pump, gate)
+    queue = MessageQueue(gate, converter, capacity=3)
+    blocked(queue, gate)
     for _ in range(3):
-        pump.played(SHOT, recording(), 1.2)
-    assert pump.dropped == 0
-    pump.played(SHOT, recording(), 1.2)  # two messages
-    pump.happened(Event(2.0, "lost"))
-    assert pump.dropped == 3
+        queue.record_shot(SHOT, recording(), 1.2)
+    assert queue.dropped == 0
+    queue.record_shot(SHOT, recording(), 1.2)  # two messages
+    queue.record_event(Event(2.0, "lost"))
+    assert queue.dropped == 3
     gate.open.set()
-    pump.close()
-    assert pump.error is None
+    queue.close()
+    assert queue.error is None
     told = [m for m in gate.got if m.topic == "/run/dropped"]
     assert [m.topic for m in gate.got if m not in told] == ["/events", *["/shots", "/windows"] * 3]
     assert told[-1].content == pb.Dropped(messages=3)
@@ -110,98 +110,98 @@ def test_a_sink_that_blocks_stops_no_one_and_what_does_not_fit_is_counted(conver
 
 def test_samples_that_wait_are_bounded_in_bytes(converter):
     gate = Gate()
-    pump = MessageQueue(gate, converter, memory=3 * recording().field.nbytes)
-    blocked(pump, gate)
+    queue = MessageQueue(gate, converter, memory=3 * recording().field.nbytes)
+    blocked(queue, gate)
     for _ in range(5):
-        pump.played(SHOT, recording(), 1.2)
-    assert pump.dropped == 2 * 2
-    pump.happened(Event(2.0, "small"))  # what has no samples still fits
-    assert pump.dropped == 4
+        queue.record_shot(SHOT, recording(), 1.2)
+    assert queue.dropped == 2 * 2
+    queue.record_event(Event(2.0, "small"))  # what has no samples still fits
+    assert queue.dropped == 4
     gate.open.set()
-    pump.close()
-    pump = MessageQueue(Broken("never"), converter, memory=1)
-    pump.played(SHOT, recording(), 1.2)  # one that is larger than the bound goes through where none waits
-    pump.close()
-    assert pump.dropped == 0
+    queue.close()
+    queue = MessageQueue(Broken("never"), converter, memory=1)
+    queue.record_shot(SHOT, recording(), 1.2)  # one that is larger than the bound goes through where none waits
+    queue.close()
+    assert queue.dropped == 0
 
 
 def test_shots_keep_their_numbers_where_some_are_dropped(converter):
     gate = Gate()
-    pump = MessageQueue(gate, converter, capacity=1)
-    blocked(pump, gate)
+    queue = MessageQueue(gate, converter, capacity=1)
+    blocked(queue, gate)
     for _ in range(3):
-        pump.played(SHOT, None, 1.2)
+        queue.record_shot(SHOT, None, 1.2)
     gate.open.set()
-    pump.close()
+    queue.close()
     assert [m.content.number for m in gate.got if m.topic == "/shots"] == [0]
-    assert pump.dropped == 2
+    assert queue.dropped == 2
 
 
 @pytest.mark.parametrize("at", ["write", "flush", "close"])
 def test_a_sink_that_fails_is_told_of_and_given_no_more(converter, at):
     sink = Broken(at)
-    pump = MessageQueue(sink, converter)
+    queue = MessageQueue(sink, converter)
     for _ in range(20):
-        pump.happened(Event(1.0, "x"))
-    pump.close()
-    assert pump.error == "OSError: the disk is full"
+        queue.record_event(Event(1.0, "x"))
+    queue.close()
+    assert queue.error == "OSError: the disk is full"
     before = len(sink.got)
-    pump.happened(Event(1.0, "late"))
+    queue.record_event(Event(1.0, "late"))
     assert len(sink.got) == before
-    assert pump.dropped >= 1
+    assert queue.dropped >= 1
 
 
 def test_what_comes_after_the_end_is_counted_as_dropped(converter):
     sink = Broken("never")
-    pump = MessageQueue(sink, converter)
-    pump.happened(Event(1.0, "x"))
-    pump.close()
-    pump.played(SHOT, recording(), 1.2)
-    assert (len(sink.got), pump.dropped) == (1, 2)
-    pump.close()
+    queue = MessageQueue(sink, converter)
+    queue.record_event(Event(1.0, "x"))
+    queue.close()
+    queue.record_shot(SHOT, recording(), 1.2)
+    assert (len(sink.got), queue.dropped) == (1, 2)
+    queue.close()
     assert sink.closed == 1
 
 
 def test_a_message_that_cannot_be_made_costs_only_itself(converter):
     sink = Broken("never")
-    pump = MessageQueue(sink, converter)
-    pump.played(SHOT, SimpleNamespace(field=np.zeros((2, 3))), 1.2)
-    pump.happened(Event(1.0, "fine"))
-    pump.close()
+    queue = MessageQueue(sink, converter)
+    queue.record_shot(SHOT, SimpleNamespace(field=np.zeros((2, 3))), 1.2)
+    queue.record_event(Event(1.0, "fine"))
+    queue.close()
     assert [m.topic for m in sink.got if m.topic == "/events"] == ["/events"]
-    assert pump.dropped == 2
-    assert "AttributeError" in pump.error
+    assert queue.dropped == 2
+    assert "AttributeError" in queue.error
 
 
 def test_a_sink_that_blocks_at_the_end_is_left_to_itself_and_told_of(converter):
     gate = Gate()
-    pump = MessageQueue(gate, converter, patience=0.01)
-    blocked(pump, gate)
-    pump.close()
-    assert "left to itself" in pump.error
-    pump.close()  # does not wait once more
+    queue = MessageQueue(gate, converter, patience=0.01)
+    blocked(queue, gate)
+    queue.close()
+    assert "left to itself" in queue.error
+    queue.close()  # does not wait once more
     gate.open.set()
 
 
 def test_the_end_of_a_run_waits_for_its_place_in_a_full_queue(converter):
     gate = Gate()
-    pump = MessageQueue(gate, converter, capacity=1)
-    blocked(pump, gate)
-    pump.happened(Event(1.0, "x"))
+    queue = MessageQueue(gate, converter, capacity=1)
+    blocked(queue, gate)
+    queue.record_event(Event(1.0, "x"))
     threading.Timer(0.05, gate.open.set).start()
-    pump.tell("/run/end", 2.0, pb.End(status="completed"), wait=True)
-    pump.close()
+    queue.record_message("/run/end", 2.0, pb.End(status="completed"), wait=True)
+    queue.close()
     assert gate.got[-1].topic == "/run/end"
 
 
 def test_what_is_dropped_is_in_the_record_and_the_reader_tells(recorded, tmp_path):
     whole = read_run(recorded[1])
     begun, recorder = whole.begin, Recorder(tmp_path, whole.converter)
-    recorder.tell("/run/begin", 0.0, begun)
+    recorder.record_message("/run/begin", 0.0, begun)
     cycle = CycleRecord(SHOT, None, None, Command(None), 0.001, 1.2)
-    recorder.played(SHOT, recording(), 1.2)
+    recorder.record_shot(SHOT, recording(), 1.2)
     recorder._refused += 7
-    recorder.cycle(0, Moment(cycle, None, None))
+    recorder.record_cycle(0, Moment(cycle, None, None))
     recorder.close()
     read = read_run(tmp_path)
     assert read.dropped == 7
@@ -255,19 +255,18 @@ def test_a_process_ends_while_its_sink_blocks():
     script = """
 import threading
 import numpy as np
-from smolbot.runs.run import Event
-from smolbot.runs.recording.converter import Converter
-from smolbot.runs.recording.message_queue import Pump
+from smolbot.runs import Converter, Event
+from smolbot.runs.recording.message_queue import MessageQueue
 
 class Blocked:
     def write(self, message): threading.Event().wait()
     def flush(self): pass
     def close(self): pass
 
-pump = Pump(Blocked(), Converter(16, 10.0, 5e4, np.ones(2)), patience=0.05)
-pump.happened(Event(0.0, "x"))
-pump.close()
-print(pump.error)
+queue = MessageQueue(Blocked(), Converter(16, 10.0, 5e4, np.ones(2)), patience=0.05)
+queue.record_event(Event(0.0, "x"))
+queue.close()
+print(queue.error)
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=True)
     assert "left to itself" in done.stdout
@@ -305,7 +304,7 @@ from smolbot.runs.recording.scan import Scan
 resource.setrlimit(resource.RLIMIT_FSIZE, (150000, {resource.RLIM_INFINITY}))
 file = McapFile(Path({str(path)!r}), lambda n: print(n, flush=True))
 try:
-    for message in Scan(Path({str(recorded[1] / "run.mcap")!r})).messages():
+    for message in Scan(Path({str(recorded[1] / "run.mcap")!r})).read_messages():
         file.append(message.topic, message.time, message.data)
         file.flush()
 except OSError as error:
@@ -319,7 +318,7 @@ file.close()
     assert path.stat().st_size == 150000
     assert not read.whole
     assert read.messages == flushed[-1] > 0
-    assert read.lost_bytes > 0
+    assert read.lost > 0
 
 
 def test_two_runs_in_one_process_do_not_mix(converter, tmp_path, recorded):
@@ -328,9 +327,9 @@ def test_two_runs_in_one_process_do_not_mix(converter, tmp_path, recorded):
     for name in "ab":
         (tmp_path / name).mkdir()
         recorders.append(Recorder(tmp_path / name, converter))
-        recorders[-1].tell("/run/begin", 0.0, begun)
+        recorders[-1].record_message("/run/begin", 0.0, begun)
     for number, recorder in enumerate(recorders * 3):
-        recorder.happened(Event(float(number), "ab"[number % 2]))
+        recorder.record_event(Event(float(number), "ab"[number % 2]))
     for recorder in recorders:
         recorder.close()
     assert [[e.what for e in read_run(tmp_path / name).events] for name in "ab"] == [["a"] * 3, ["b"] * 3]
@@ -341,7 +340,7 @@ def test_no_thread_and_no_file_stay_after_a_flight(recorded):
 
 
 @pytest.mark.parametrize("make", [lambda p: p.write_bytes(b"mine"), lambda p: p.mkdir()])
-def test_a_record_that_stands_there_is_not_written_over(make, tmp_path):
+def test_an_existing_record_is_not_written_over(make, tmp_path):
     make(tmp_path / "run.mcap")
     with pytest.raises(InputError, match="cannot be made: File exists"):
         McapFile(tmp_path / "run.mcap")

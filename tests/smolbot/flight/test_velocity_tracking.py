@@ -29,43 +29,43 @@ def shot(start: float) -> Shot:
     return Shot((Excite((3.0, 0.0), 103.5, 3), RingDown(0.012), Listen(6, 103.5)), "track", start)
 
 
-def led_pose(time: float) -> Pose:
+def guided_pose(time: float) -> Pose:
     covariance = np.diag(np.array([5e-5] * 3 + [5e-3] * 3) ** 2)
     turn = quaternion_from_rotation_vector(TURN * time)
     return Pose(time, VELOCITY * time, turn, covariance, 0.99)
 
 
-def led_tracker(until: float) -> Tracker:
+def guided_tracker(until: float) -> Tracker:
     tracker = VelocityTracker(DEVICE, MOTION)
     for start in np.arange(0.0, until, 0.075):
         one = shot(float(start))
-        tracker.update(one, led_pose(one.end - 0.0145))
+        tracker.update(one, guided_pose(one.end - 0.0145))
     return tracker
 
 
-def test_a_steady_hand_is_foreseen_in_place_and_turn():
-    tracker = led_tracker(2.0)
+def test_a_steady_motion_is_predicted_in_position_and_rotation():
+    tracker = guided_tracker(2.0)
     np.testing.assert_allclose(tracker.drift, VELOCITY, atol=1.5e-3)
-    np.testing.assert_allclose(tracker.turning, TURN, atol=0.15)
+    np.testing.assert_allclose(tracker.turn_rate, TURN, atol=0.15)
     ahead = tracker.pose.time + 0.06
-    foreseen, truth = tracker.pose_at(ahead), led_pose(ahead)
-    assert np.linalg.norm(foreseen.position - truth.position) < 1.5e-4
-    assert np.linalg.norm(compute_rotation_error(foreseen.orientation, truth.orientation)) < np.radians(1.0)
+    predicted, truth = tracker.pose_at(ahead), guided_pose(ahead)
+    assert np.linalg.norm(predicted.position - truth.position) < 1.5e-4
+    assert np.linalg.norm(compute_rotation_error(predicted.orientation, truth.orientation)) < np.radians(1.0)
 
 
-def test_a_tracker_that_believes_in_rest_lags_behind_a_hand():
-    believing, resting = led_tracker(2.0), Tracker(None, DEVICE, None)
+def test_a_tracker_that_assumes_rest_lags_behind_a_moved_device():
+    believing, resting = guided_tracker(2.0), Tracker(None, DEVICE, None)
     for start in np.arange(0.0, 2.0, 0.075):
         one = shot(float(start))
-        resting.update(one, led_pose(one.end - 0.0145))
+        resting.update(one, guided_pose(one.end - 0.0145))
     ahead = believing.pose.time + 0.06
-    truth = led_pose(ahead)
+    truth = guided_pose(ahead)
     off = [np.linalg.norm(t.pose_at(ahead).position - truth.position) for t in (believing, resting)]
     assert off[0] < 0.4 * off[1]
 
 
-def test_a_gap_leaves_the_pose_in_as_much_doubt_as_the_motion_says():
-    tracker = led_tracker(1.0)
+def test_after_a_gap_the_pose_is_as_uncertain_as_the_motion_model_predicts():
+    tracker = guided_tracker(1.0)
     last = tracker.pose
     soon, late = (np.sqrt(np.diag(tracker.pose_at(last.time + wait).covariance)) for wait in (0.05, 5.0))
     assert np.all(late[:3] > 5.0 * soon[:3])
@@ -73,7 +73,7 @@ def test_a_gap_leaves_the_pose_in_as_much_doubt_as_the_motion_says():
 
 
 @pytest.mark.parametrize("wait", [0.05, 0.3, 2.0])
-def test_what_a_wandering_rate_adds_agrees_with_walks_drawn_at_random(wait):
+def test_the_process_noise_of_a_random_rate_agrees_with_simulated_walks(wait):
     rng = np.random.default_rng(1)
     steps, walks = 200, 40000
     keep = np.exp(-wait / steps / MOTION.correlation_time)
@@ -82,7 +82,7 @@ def test_what_a_wandering_rate_adds_agrees_with_walks_drawn_at_random(wait):
         after = keep * rate + np.sqrt(1.0 - keep**2) * rng.standard_normal(walks)
         path += 0.5 * (rate + after) * wait / steps
         rate = after
-    found = MOTION.spread(wait)
+    found = MOTION.compute_process_noise(wait)
     assert found == pytest.approx((np.var(path), np.mean(path * rate), np.var(rate)), rel=0.05)
 
 
