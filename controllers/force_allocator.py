@@ -25,13 +25,13 @@ MAX_FIELD_SLOPES = (0.3, 10.0)
 """Tangents of the field's slope out of the plane, tried in turn: a floating robot hardly follows the second."""
 
 DIRECTION_SLACK = float(np.tan(np.radians(0.1)))
-"""By how much a force may always miss its direction: right at a symmetry of the coils it is worth much."""
+"""Allowed tangent of every direction error: at a symmetry of the coils it increases the force considerably."""
 
 DIRECTION_OFFSETS = np.radians([0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
 """Angles by which a direction may be missed, tried in this order where the requested one is out of reach or weak."""
 
 WEAK_PULL_SHARE = 0.1
-"""Share of the strongest single coil's pull below which a force that points exactly is called weak."""
+"""Share of the strongest single coil's pull below which a force in the exact direction counts as weak."""
 
 
 class UnreachableForceError(SmolbotError, ValueError):
@@ -41,12 +41,7 @@ class UnreachableForceError(SmolbotError, ValueError):
     ----------
     message : str
     most : float, in N
-        The strongest force in that direction.
-
-    Attributes
-    ----------
-    most : float, in N
-        The strongest force in that direction; 0 where none points there.
+        The strongest force in that direction; 0 where none points there. An attribute of the error too.
     """
 
     def __init__(self, message: str = "", /, *, most: float = 0.0) -> None:
@@ -282,18 +277,9 @@ class ForceAllocator:
         """Compute grad|B| along `way` in T/m, not above 0 where no solution exists, and its currents."""
         for slope in MAX_FIELD_SLOPES:
             value, currents = search_currents(
-                field,
-                gradient,
-                self._low,
-                self._high,
-                way,
-                requested,
-                self.least_field,
-                slope,
-                DIRECTION_SLACK,
-                self.head_first,
-                self._steps,
-            )
+                field, gradient, self._low, self._high, way, requested, self.least_field, slope, DIRECTION_SLACK,
+                self.head_first, self._steps,
+            )  # fmt: skip
             if value > -1e299:
                 break
         return value, currents
@@ -321,11 +307,9 @@ class ForceAllocator:
 
     def _compute_max_force(self, field: FloatArray, gradient: FloatArray, way: FloatArray) -> float:
         found = self._find_currents(field, gradient, way, -1.0)
-        return (
-            0.0
-            if found is None
-            else self.moment * float(np.linalg.norm(compute_field_and_force(field, gradient, found)[1][:2]))
-        )
+        if found is None:
+            return 0.0
+        return self.moment * float(np.linalg.norm(compute_field_and_force(field, gradient, found)[1][:2]))
 
     def _make_unreachable_error(
         self, position: FloatArray, field: FloatArray, gradient: FloatArray, way: FloatArray, force: float | None

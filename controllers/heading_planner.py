@@ -17,7 +17,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.motion.controller import Setup
 
 HEADING_COUNT = 72
-"""Headings among which is chosen."""
+"""Number of candidate headings."""
 
 MIN_SPEED = 5e-5
 """Speed, in m/s, that is assumed where no currents pull along the path."""

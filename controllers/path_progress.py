@@ -11,7 +11,7 @@ from smolbot.motion.kernels import find_nearest
 from smolbot.paths.curve import Curve
 
 SEARCH_BACK, SEARCH_AHEAD = 2e-3, 4e-3
-"""How far, in m, from where it was, the robot is looked for: a letter's strands cross."""
+"""Search range, in m of arc length, behind and ahead of the last position: strands of a letter cross."""
 
 
 class PathProgress:

@@ -87,7 +87,7 @@ def add_windows(path: Path, content: bytes) -> None:
         file.write(f"{digest(path)} {name}\n")
 
 
-def told() -> dict[str, str]:
+def read_reports() -> dict[str, str]:
     """The digest that ``CHANGES.md`` tells last of each file of answers."""
     rows = [line.split("|") for line in CHANGES.read_text(encoding="utf-8").splitlines() if line.startswith("| 2")]
     return {row[2].strip(): row[3].strip() for row in rows}

@@ -116,7 +116,7 @@ def replayed_record(record: RecordedRun, settings: dict[str, str]) -> Any:
     pilot = _AskedPilot(real.pilot, loop.pilot)
     loop.scheduler, loop.pilot = scheduler, pilot
     run = loop.fly()
-    return as_answers({"planned": scheduler.planned, "commands": pilot.answers, **_told(run)})
+    return as_answers({"planned": scheduler.planned, "commands": pilot.answers, **_summarize(run)})
 
 
 def _parts(mission: AnyMission, record: RecordedRun) -> _Parts:
@@ -142,16 +142,16 @@ def _open(mission: AnyMission, seed: int) -> Any:
     return world.open(mission.rig, mission.robot, place, seed, gui=False, operator=SilentOperator())
 
 
-def flown(name: str) -> Any:
+def fly_golden(name: str) -> Any:
     """A seeded flight in the tank: truth, poses, shots, commands, events."""
     which, seed, settings = FLIGHTS[name]
     run = fly(load_mission(which, None, {"localization.quiet_s": "3", **settings}), seed)
     trail = None if run.true_trail is None else [{"position": place} for place in run.true_trail.tolist()]
     cycles = [{"shot": c.shot, "command": c.command} for c in run.cycles]
-    return as_answers({"true": trail, "cycles": cycles, **_told(run)})
+    return as_answers({"true": trail, "cycles": cycles, **_summarize(run)})
 
 
-def _told(run: Run) -> dict[str, Any]:
+def _summarize(run: Run) -> dict[str, Any]:
     """What a run found: poses, events, and what safety counted."""
     poses = [{"pose": cycle.pose, "tracked": cycle.tracked, "ended": cycle.ended} for cycle in run.cycles]
     return {
@@ -162,7 +162,7 @@ def _told(run: Run) -> dict[str, Any]:
 
 MAKERS: dict[str, Callable[[], Any]] = {
     **{name: lambda name=name: replayed(name) for name in REPLAYS},
-    **{name: lambda name=name: flown(name) for name in FLIGHTS},
+    **{name: lambda name=name: fly_golden(name) for name in FLIGHTS},
     "foreign_whitened": lambda: as_answers(locate_all("whitened")),
     "foreign_paper": lambda: as_answers(locate_all("paper")),
 }

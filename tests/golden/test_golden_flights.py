@@ -13,7 +13,7 @@ from smolbot.flight.replay import replay
 from smolbot.runs.recording.reader import read_run
 from tests.golden import answers, corpus, foreign
 from tests.golden.answers import GoldenFileError, as_answers, compare, load, machine
-from tests.golden.corpus import EXPECTED, HERE, LIMIT, RECORDS, SIGNALS, digest, told, unpacked, windows
+from tests.golden.corpus import EXPECTED, HERE, LIMIT, RECORDS, SIGNALS, digest, read_reports, unpacked, windows
 from tests.golden.flights import MAKERS, REPLAYS
 from tests.golden.renew import renew
 
@@ -31,7 +31,7 @@ def test_a_golden_answer_is_given_again(name):
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_every_change_of_an_answer_is_reported(name):
-    last = told().get(name)
+    last = read_reports().get(name)
     assert last == digest(EXPECTED / f"{name}.json.xz"), (
         f"expected/{name}.json.xz is not the one that CHANGES.md tells of ({last}). {ANEW.format(name=name)}"
     )
@@ -113,7 +113,7 @@ def test_answers_made_anew_are_reported_with_their_size(tmp_path, monkeypatch, c
     row = (tmp_path / "CHANGES.md").read_text().splitlines()[-1]
     assert "2e-06 m" in row
     assert "a better filter" in row
-    assert corpus.told()["foreign_paper"] == digest(path)
+    assert corpus.read_reports()["foreign_paper"] == digest(path)
     assert renew(["foreign_paper"], "nothing new") == 0
     assert ".cold.position[0]" in capsys.readouterr().out
 

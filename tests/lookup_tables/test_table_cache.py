@@ -82,7 +82,7 @@ def room_for_two(coils, tmp_path, monkeypatch):
     return table
 
 
-def test_the_table_that_was_longest_of_no_use_makes_room(room_for_two, tmp_path, builds):
+def test_the_least_recently_used_table_is_deleted_first(room_for_two, tmp_path, builds):
     room_for_two(1)
     (second,) = (p for p in tmp_path.iterdir() if p.stat().st_mtime > 1.0)
     os.utime(second, (2.0, 2.0))
@@ -94,7 +94,7 @@ def test_the_table_that_was_longest_of_no_use_makes_room(room_for_two, tmp_path,
     assert len(builds) == 2
 
 
-def test_only_fields_make_room_and_what_nobody_writes_any_more(room_for_two, tmp_path):
+def test_only_fields_and_abandoned_files_are_deleted(room_for_two, tmp_path):
     now = time.time()
     for name, age in (("heat.json", 2e6), (".table-a.npz", 1.0), (".table-b.npz", 2e6), ("tank-coil-a.npy", 2e6)):
         (tmp_path / name).write_bytes(bytes(cache.MAX_CACHE_BYTES))
@@ -112,7 +112,7 @@ def test_a_table_larger_than_the_bound_is_kept_alone(room_for_two, tmp_path, mon
     assert len(builds) == len(list(tmp_path.iterdir())) == 1
 
 
-def test_processes_that_write_at_once_leave_one_whole_table(coils, tmp_path, monkeypatch):
+def test_processes_that_write_at_once_leave_one_complete_table(coils, tmp_path, monkeypatch):
     monkeypatch.setattr(cache, "MAX_CACHE_BYTES", 1)  # each deletes what the others keep
     with ThreadPoolExecutor(8) as pool:
         found = list(

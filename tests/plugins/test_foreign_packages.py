@@ -99,14 +99,14 @@ def smolbot(where: Path, cwd: Path, *arguments: str) -> subprocess.CompletedProc
     return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=cwd, check=False)
 
 
-def flown(where: Path, cwd: Path, *arguments: str) -> dict:
+def fly_briefly(where: Path, cwd: Path, *arguments: str) -> dict:
     """What a flight of a second leaves, which ends in time."""
     done = smolbot(where, cwd, "run", *arguments, *BRIEF, "--out", str(cwd / "run"))
     assert done.returncode == 1, done.stderr
-    told = json.loads(done.stdout)
-    assert told["status"] == "timeout", done.stderr
-    assert told["cycles"] >= 3
-    return told
+    summary = json.loads(done.stdout)
+    assert summary["status"] == "timeout", done.stderr
+    assert summary["cycles"] >= 3
+    return summary
 
 
 def imports(path: Path) -> list[tuple[str, str]]:
@@ -153,7 +153,7 @@ def test_the_lab_has_a_part_of_every_kind():
 def test_a_labs_own_world_flies_with_and_without_a_section_of_its_own(tmp_path, section):
     text = list_shipped("rigs")["tank"].read_text().replace('world = "tank"', 'world = "ours"')
     (tmp_path / "our_rig.toml").write_text(text + section)
-    flown(OWN_WORLD, tmp_path, "line", "--rig", "our_rig.toml")
+    fly_briefly(OWN_WORLD, tmp_path, "line", "--rig", "our_rig.toml")
 
 
 def test_a_labs_own_helical_law_is_previewed_and_flies(tmp_path):
@@ -161,8 +161,8 @@ def test_a_labs_own_helical_law_is_previewed_and_flies(tmp_path):
     previewed = smolbot(HELICAL_LAW, tmp_path, "preview", *law, "--json")
     assert previewed.returncode == 0, previewed.stderr
     assert json.loads(previewed.stdout)["go"]
-    told = flown(HELICAL_LAW, tmp_path, *law, "--set", "stop.max_duration_s=40")
-    assert told["stop_reason"].startswith("max_duration_s")
+    summary = fly_briefly(HELICAL_LAW, tmp_path, *law, "--set", "stop.max_duration_s=40")
+    assert summary["stop_reason"].startswith("max_duration_s")
 
 
 def test_list_shows_every_part_of_the_lab(installed, tmp_path):
@@ -185,8 +185,8 @@ def test_list_shows_every_part_of_the_lab(installed, tmp_path):
     ids=["world", "law", "estimator", "path reader", "kind of sensors"],
 )
 def test_each_part_of_the_lab_flies(installed, files, arguments):
-    told = flown(installed, files, *arguments)
-    assert told["localization_error_mm"]["mean"] < 1.0
+    summary = fly_briefly(installed, files, *arguments)
+    assert summary["localization_error_mm"]["mean"] < 1.0
 
 
 def test_the_labs_command_is_a_command_of_smolbot(installed, files):
@@ -243,9 +243,9 @@ def test_a_triaxial_magnetometer_is_three_sensors_at_one_place(lab, files):
 )
 def test_a_fault_of_a_labs_own_keys_has_file_line_and_key(lab, files, file, old, new, said):
     (files / file).write_text((files / file).read_text().replace(old, new))
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as caught:
         load_rig(str(files / file))
-    assert re.search(f"{file}{said}", str(told.value)), told.value
+    assert re.search(f"{file}{said}", str(caught.value)), caught.value
 
 
 def test_a_path_that_the_labs_reader_cannot_read_is_a_fault_of_the_mission(lab, files):
