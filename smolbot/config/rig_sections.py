@@ -54,7 +54,7 @@ class CoilSection(FileModel):
 
         Returns
         -------
-        Coil
+        ThermalCoil
         """
         stated, inner, outer = safety.coils, self.inner_radius, self.outer_radius
         length, across = self.length, math.pi * (inner + outer)

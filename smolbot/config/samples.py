@@ -136,7 +136,7 @@ def make_recordings(samples: Samples, rig: RigConfig) -> SampleRecordings:
 
     Returns
     -------
-    Shots
+    SampleRecordings
 
     Raises
     ------

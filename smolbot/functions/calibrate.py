@@ -41,7 +41,7 @@ def calibrate(
         Known z of the cantilever's rotation centre above the sensors.
     robot : str, optional
         By name or path; by default the mission's, or ``gradient``.
-    plan : Plan, optional
+    plan : CalibrationPlan, optional
         How long bursts are, and how many.
     seed : int
         Of a simulated tank.

@@ -230,7 +230,7 @@ def locate_all(
     Parameters
     ----------
     localizer : Localizer
-    shots : Shots
+    shots : SampleRecordings
     half_periods : int, optional
         Use so many half-periods of each shot; all of them if not given.
     segments : int, optional

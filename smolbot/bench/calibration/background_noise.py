@@ -41,11 +41,11 @@ class BackgroundNoise:
 
         Parameters
         ----------
-        shots : Shots
+        shots : SampleRecordings
 
         Returns
         -------
-        Shots
+        SampleRecordings
         """
         if not self.broken.any():
             return shots
@@ -68,7 +68,7 @@ def learn_background_noise(path: Path, rig: RigConfig, rate: float) -> Backgroun
 
     Returns
     -------
-    Quiet
+    BackgroundNoise
 
     Raises
     ------

@@ -214,7 +214,7 @@ def calibrate(
         As assumed; moment, its direction and l0 are kept.
     height : float, in m
         Known z of the cantilever's rotation centre above the sensors.
-    plan : Plan, optional
+    plan : CalibrationPlan, optional
     hum : Hum, optional
         Mains lines expected in the room.
     progress : callable, optional

@@ -62,7 +62,7 @@ def read_known_recordings(track: Path, samples: Path | None, rig: RigConfig) -> 
 
     Returns
     -------
-    list of Known
+    list of KnownRecording
 
     Raises
     ------
@@ -106,7 +106,7 @@ def record_on_stage(
 
     Returns
     -------
-    list of Known
+    list of KnownRecording
 
     Raises
     ------
@@ -156,7 +156,7 @@ def select_ringing(
 
     Parameters
     ----------
-    shots : list of Known
+    shots : list of KnownRecording
     rig : RigConfig
     device : Device
         As assumed.
@@ -165,7 +165,7 @@ def select_ringing(
 
     Returns
     -------
-    used : list of Known
+    used : list of KnownRecording
     device : Device
         With the estimated frequency and damping.
     left_out : list of str

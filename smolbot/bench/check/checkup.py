@@ -102,7 +102,7 @@ class Checkup:
     sensors : tuple of SensorCheck
     coils : tuple of CoilCheck
         Empty if the rig cannot measure its own coils.
-    expected : Expected
+    expected : ExpectedNoise
     mains_frequency : float, in Hz
     manual_checks : tuple of str
         What only a person can verify.

@@ -91,7 +91,7 @@ def check_coils(
     Returns
     -------
     coils : tuple of CoilCheck
-    sensors : list of Likeness
+    sensors : list of ResponseMatch
         Response of each sensor to all coils, compared with its prediction.
     """
     prediction = predict_responses(config)

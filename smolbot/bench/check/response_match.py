@@ -70,8 +70,8 @@ def match_responses(
 
     Returns
     -------
-    coils : list of Likeness
-    sensors : list of Likeness
+    coils : list of ResponseMatch
+    sensors : list of ResponseMatch
     """
     spread = np.zeros_like(predicted) if spread is None else spread
     live, heard = usable.copy(), np.any(measured != 0.0, axis=1)
@@ -96,7 +96,7 @@ def match_responses(
 
 
 def compute_response_std(fields: FloatArray, gradients: FloatArray, axes: FloatArray) -> FloatArray:
-    """Compute the standard deviation of each response for the errors `PLACE` and `TILT_STD` of position and angle.
+    """Compute the standard deviation of each response for position and angle errors `POSITION_STD` and `TILT_STD`.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ class SensorNoise:
         Noise density above 1/f noise, corrected for the sensors' low pass.
     mains : ndarray, in T
         Peak at the mains frequency.
-    harmonics : ndarray, shape (n_sensors, ORDERS - 1), in T
+    harmonics : ndarray, shape (n_sensors, N_HARMONICS - 1), in T
         Peaks at its multiples, from twice on.
     mains_frequency : float, in Hz
     span : ndarray, in T
@@ -82,7 +82,7 @@ def measure_sensor_noise(recordings: Sequence[Recording], mains: float, bandwidt
 
     Returns
     -------
-    Hum
+    SensorNoise
 
     Raises
     ------

@@ -140,7 +140,7 @@ class Card:
         Parameters
         ----------
         waveform : Waveform
-        guard : Guarding
+        guard : OutputGuard
 
         Returns
         -------

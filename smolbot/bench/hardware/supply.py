@@ -76,7 +76,7 @@ class Supply:
 
     Attributes
     ----------
-    identity : Identity
+    identity : SupplyIdentity
 
     Raises
     ------

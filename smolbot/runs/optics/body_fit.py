@@ -227,7 +227,7 @@ def compute_mark_position(
         Pixel (u, v) of the first element of `grey`.
     view : View
     body : Body
-    fit : Fit
+    fit : OutlineFit
     height : float, in m
         z of the body's middle.
 

@@ -71,7 +71,7 @@ def follow_swing(clip: Video) -> ObservedSwing:
 
     Returns
     -------
-    Swing
+    ObservedSwing
 
     Raises
     ------

@@ -163,7 +163,7 @@ def find_view_by_markers(picture: Any, file: FiducialsFile, camera_height: float
 
     Returns
     -------
-    Found
+    MarkerView
 
     Raises
     ------

@@ -174,7 +174,7 @@ class RecordedRun(Readable):
 
         Yields
         ------
-        Played
+        PlayedShot
         Recording
         """
         for played in self.played:

@@ -74,7 +74,7 @@ class Scan:
 
         Yields
         ------
-        Found
+        ScannedMessage
         """
         data, size = self._data, len(self._data)
         self._topics = self._read_summary_channels()

@@ -88,7 +88,7 @@ def make_samples_table(run: RecordedRun) -> tuple[RunTable, NDArray[np.float64]]
 
     Returns
     -------
-    Table
+    RunTable
         A row for each recording: its samples are rows `first` to `first` + `samples` - 1 of the field, counted from
         0.
     ndarray, shape (n_samples, n_sensors), in T

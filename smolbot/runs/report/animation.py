@@ -134,7 +134,7 @@ class AnimationScene:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
     speed : float
         How many times faster than the run, for the label.
     """

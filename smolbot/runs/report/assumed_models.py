@@ -21,7 +21,7 @@ class AssumedModels:
     ----------
     sensors : SensorArray
     device : Device
-    tails : CoilTails
+    tails : CoilDecays
         Decay of the coil currents after actuation.
     transients : tuple of float, in s
         Time constants of the excitation coils' ring-down.
@@ -42,7 +42,7 @@ class AssumedModels:
 
         Returns
         -------
-        Beliefs
+        AssumedModels
         """
         return cls(mission.rig.sensors, mission.robot.device)
 
@@ -55,7 +55,7 @@ class AssumedModels:
 
         Returns
         -------
-        Beliefs
+        AssumedModels
             Unchanged if the event concerns none of it.
         """
         told: dict[str, Any] = event.detail

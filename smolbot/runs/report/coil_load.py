@@ -50,11 +50,11 @@ def compute_coil_load(flight: RecordedFlight) -> CoilLoad:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
-    Strain
+    CoilLoad
     """
     rig = flight.mission.rig
     safety = rig.sections.safety

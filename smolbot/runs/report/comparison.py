@@ -53,12 +53,12 @@ class Comparison:
 
     Attributes
     ----------
-    flights : list of Flight
+    flights : list of RecordedFlight
     labels : list of str
         Short names of the runs.
     settings : list of tuple
         Name of each setting that differs, and its value in each run.
-    figures : list of Compared
+    figures : list of ComparedFigure
     notes : list of str
         Warnings for the reader: different paths, records that are cut short.
     """
@@ -203,7 +203,7 @@ def compute_series(flight: RecordedFlight) -> dict[str, FloatArray]:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------

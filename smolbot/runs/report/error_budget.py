@@ -119,7 +119,7 @@ def compute_budget(mission: Mission, steps: list[BudgetStep]) -> ErrorBudget | N
     Parameters
     ----------
     mission : Mission
-    steps : list of Step
+    steps : list of BudgetStep
 
     Returns
     -------
@@ -162,11 +162,11 @@ def find_steps(flight: RecordedFlight) -> list[BudgetStep]:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
-    list of Step
+    list of BudgetStep
     """
     mission = flight.steered
     assert mission is not None

@@ -25,7 +25,7 @@ def build_budget_section(flight: RecordedFlight) -> Section:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -57,7 +57,7 @@ def format_rows(budget: ErrorBudget) -> list[tuple[str, str, str, str, str]]:
 
     Parameters
     ----------
-    budget : Budget
+    budget : ErrorBudget
 
     Returns
     -------
@@ -86,7 +86,7 @@ def describe_budget(budget: ErrorBudget, summary: dict[str, Any], *, helical: bo
 
     Parameters
     ----------
-    budget : Budget
+    budget : ErrorBudget
     summary : dict
     helical : bool
 
@@ -120,7 +120,7 @@ def draw_budget(budget: ErrorBudget) -> Figure:
 
     Parameters
     ----------
-    budget : Budget
+    budget : ErrorBudget
 
     Returns
     -------

@@ -39,8 +39,8 @@ def draw_coils_figure(flight: RecordedFlight, strain: CoilLoad) -> Figure:
 
     Parameters
     ----------
-    flight : Flight
-    strain : Strain
+    flight : RecordedFlight
+    strain : CoilLoad
 
     Returns
     -------
@@ -89,7 +89,7 @@ def draw_cycle_figure(flight: RecordedFlight) -> Figure:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -111,7 +111,7 @@ def find_typical_shots(flight: RecordedFlight) -> list[tuple[Shot, int]]:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------

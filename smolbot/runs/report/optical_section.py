@@ -57,7 +57,7 @@ def compare_with_track(flight: RecordedFlight) -> OpticalComparison | None:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -87,7 +87,7 @@ def build_optical_sections(flight: RecordedFlight) -> list[Section]:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -120,8 +120,8 @@ def format_optical_rows(flight: RecordedFlight, seen: OpticalComparison) -> list
 
     Parameters
     ----------
-    flight : Flight
-    seen : Seen
+    flight : RecordedFlight
+    seen : OpticalComparison
 
     Returns
     -------
@@ -147,8 +147,8 @@ def draw_optical_figure(flight: RecordedFlight, seen: OpticalComparison) -> Figu
 
     Parameters
     ----------
-    flight : Flight
-    seen : Seen
+    flight : RecordedFlight
+    seen : OpticalComparison
 
     Returns
     -------

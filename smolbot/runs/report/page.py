@@ -37,7 +37,7 @@ def save_report(flight: RecordedFlight, out: Path | None = None) -> Path:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
     out : Path, optional
         File to write; default: ``report.html`` in the run folder.
 
@@ -63,7 +63,7 @@ def build_report(flight: RecordedFlight) -> str:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------

@@ -38,7 +38,7 @@ def draw_path_figure(flight: RecordedFlight) -> Figure:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -68,7 +68,7 @@ def draw_track_figure(flight: RecordedFlight, mission: Observation) -> Figure:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
     mission : Observation
 
     Returns
@@ -101,7 +101,7 @@ def draw_errors_figure(flight: RecordedFlight) -> Figure:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -144,7 +144,7 @@ def draw_localization_errors(over_time: Axes, along: Axes, flight: RecordedFligh
     Parameters
     ----------
     over_time, along : Axes
-    flight : Flight
+    flight : RecordedFlight
     """
     mission = flight.steered
     known = [m for m in flight.trace.moments if m.cycle.trusted and m.truth]
@@ -170,7 +170,7 @@ def draw_observation_figure(flight: RecordedFlight, mission: Observation) -> Fig
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
     mission : Observation
 
     Returns
@@ -192,7 +192,7 @@ def draw_helix_figure(flight: RecordedFlight) -> Figure:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------

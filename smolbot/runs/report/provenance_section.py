@@ -23,7 +23,7 @@ def build_events_section(flight: RecordedFlight) -> Section:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -56,7 +56,7 @@ def build_provenance_section(flight: RecordedFlight) -> Section:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------

@@ -64,13 +64,13 @@ def fit_windows(flight: RecordedFlight, most: int = MAX_WINDOWS) -> Iterator[Fit
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
     most : int
         Largest number of recordings, chosen at equal steps.
 
     Yields
     ------
-    Window
+    FittedWindow
         In order of time.
     """
     beliefs, record, mission = AssumedModels.from_mission(flight.mission), flight.record, flight.mission
@@ -104,14 +104,14 @@ def fit_window(recording: Recording, pose: Pose, assumed: AssumedModels, trend: 
     ----------
     recording : Recording
     pose : Pose
-    assumed : Beliefs
+    assumed : AssumedModels
         Sensors, device and coils as assumed.
     trend : int
         Degree of the polynomial; where coils still ring, their decays are fitted as well.
 
     Returns
     -------
-    Window
+    FittedWindow
     """
     size = max(round(BLOCK_DURATION * recording.sample_rate), 1)
     n = recording.field.shape[1] // size

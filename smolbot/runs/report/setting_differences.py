@@ -49,7 +49,7 @@ def find_changes(flights: list[RecordedFlight]) -> list[tuple[str, list[str | No
 
     Parameters
     ----------
-    flights : list of Flight
+    flights : list of RecordedFlight
 
     Returns
     -------

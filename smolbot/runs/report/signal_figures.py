@@ -54,7 +54,7 @@ def draw_noise_figure(noise: BackgroundSpectrum) -> Figure:
 
     Parameters
     ----------
-    noise : QuietNoise
+    noise : BackgroundSpectrum
 
     Returns
     -------

@@ -280,7 +280,7 @@ def show_progress(mission: AnyMission) -> Iterator[MissionProgress]:
 
     Yields
     ------
-    Shown
+    MissionProgress
         To be called with the record of each cycle.
     """
     progress = ObservationProgress(mission) if isinstance(mission, Observation) else PathProgress(mission)

@@ -35,7 +35,7 @@ def describe_state(flight: FlightState, time_: float | None = None) -> tuple[str
 
     Parameters
     ----------
-    flight : Flight
+    flight : FlightState
     time_ : float, in s, optional
         On the rig's clock; the latest unless given.
 
@@ -67,7 +67,7 @@ def make_bar_state(
 
     Parameters
     ----------
-    flight : Flight or None
+    flight : FlightState or None
     flying : bool
         Whether a mission is connected that can be paused.
     starting : str

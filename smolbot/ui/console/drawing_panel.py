@@ -57,7 +57,7 @@ class DrawingPanel:
     ----------
     server : viser.ViserServer
     scene : Scene
-    starting : Starting
+    starting : StartPanel
         Panel of the chosen mission.
     folder : Path
         Folder for the files of drawn missions.

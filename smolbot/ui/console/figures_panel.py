@@ -66,7 +66,7 @@ class FiguresPanel:
 
         Parameters
         ----------
-        flight : Flight
+        flight : FlightState
         time : float, in s, optional
             On the rig's clock; the latest unless given.
         """
@@ -115,7 +115,7 @@ def collect_series(flight: FlightState, time: float | None) -> dict[str, tuple[F
 
     Parameters
     ----------
-    flight : Flight
+    flight : FlightState
     time : float or None, in s
         On the rig's clock; None for the latest.
 
@@ -146,7 +146,7 @@ def _cut_to_last(times: FloatArray, values: FloatArray) -> tuple[FloatArray, Flo
 
 
 def thin_rows(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Keep at most `SHOWN` evenly spaced rows, with the last one; returns copies.
+    """Keep at most `MAX_POINTS` evenly spaced rows, with the last one; returns copies.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def format_table(flight: FlightState, time: float | None) -> str:
 
     Parameters
     ----------
-    flight : Flight
+    flight : FlightState
     time : float or None, in s
         On the rig's clock; None for the latest.
 

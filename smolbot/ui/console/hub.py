@@ -96,9 +96,9 @@ class Hub:
 
     Attributes
     ----------
-    gate : Gate
+    gate : ConsoleServer
         Set by whoever opens it, once the hub exists.
-    live : Flight or None
+    live : FlightState or None
         The run that joined last.
     """
 
@@ -116,7 +116,7 @@ class Hub:
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         """
         about = line.about
         flight = FlightState(str(about.get("mission", "a mission")))
@@ -132,7 +132,7 @@ class Hub:
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         topic : str
         time_ns : int
         data : bytes
@@ -149,7 +149,7 @@ class Hub:
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         """
         told = line.stopped or {}
         took = 1e3 * (told.get("zero", 0.0) - told.get("heard", 0.0))
@@ -162,7 +162,7 @@ class Hub:
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         why : str
             Empty if it ended as planned.
         """
@@ -241,7 +241,7 @@ class Hub:
 
         Returns
         -------
-        Child
+        ChildMission
 
         Raises
         ------

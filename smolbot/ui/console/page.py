@@ -40,7 +40,7 @@ class Page:
 
     Parameters
     ----------
-    access : Door
+    access : PageAccess
     hub : Hub
     runs : Path
         Folder of the runs to browse.

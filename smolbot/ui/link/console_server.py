@@ -81,7 +81,7 @@ class MissionListener(Protocol):
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         """
 
     def receive_message(self, line: MissionConnection, topic: str, time_ns: int, data: bytes) -> None:
@@ -89,7 +89,7 @@ class MissionListener(Protocol):
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         topic : str
         time_ns : int
         data : bytes
@@ -101,7 +101,7 @@ class MissionListener(Protocol):
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         """
 
     def remove_mission(self, line: MissionConnection, why: str) -> None:
@@ -109,7 +109,7 @@ class MissionListener(Protocol):
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         why : str
             Empty if it ended as planned.
         """
@@ -122,7 +122,7 @@ class ConsoleServer:
     ----------
     secret : str
         Shared secret in hexadecimal; a peer that does not know it is refused.
-    listener : Missions
+    listener : MissionListener
     stop : callable
         Executes the order of ``smolbot stop``: takes who gives it, returns the stopped missions as JSON data.
     log : callable

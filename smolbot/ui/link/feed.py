@@ -60,7 +60,7 @@ class Feed:
     about : mapping
         Description of the mission, which is sent as JSON.
     latch : Latch
-    pause : Pausing
+    pause : PauseSwitch
     clock : callable
         Returns the time in s, for the times that are sent to the console.
 

@@ -60,7 +60,7 @@ def join_console(console: Console, about: Mapping[str, Any], latch: Latch, pause
     about : mapping
         Description of the mission, which is sent as JSON.
     latch : Latch
-    pause : Pausing
+    pause : PauseSwitch
 
     Returns
     -------
