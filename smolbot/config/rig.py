@@ -324,8 +324,8 @@ def load_rig(name: str, settings: dict[str, str] | None = None) -> RigConfig:
         document = document.override(settings, "rig.")
     faults = _expand_sensors(document)
     sections, of_file = validate(RigFile, _without_own_section(document))
-    told = {fault.key for fault in faults}
-    faults += [_of_world(document, fault) for fault in of_file if fault.key not in told] + _find_world_faults(document)
+    known = {fault.key for fault in faults}
+    faults += [_of_world(document, fault) for fault in of_file if fault.key not in known] + _find_world_faults(document)
     if sections is None or faults:
         raise document.error(faults)
     config = RigConfig(document, sections)

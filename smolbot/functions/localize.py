@@ -178,15 +178,15 @@ def localize(
     name, known = find_device(robot, device)
     held = read_samples(samples)
     shots = make_recordings(held, config)
-    localizer, heard = make_localizer(config, known, estimator, quiet, held.sample_rate)
+    localizer, noise = make_localizer(config, known, estimator, quiet, held.sample_rate)
     try:
         poses = locate_all(
-            localizer, shots if heard is None else heard.remove_broken_channels(shots), half_periods, superfast
+            localizer, shots if noise is None else noise.remove_broken_channels(shots), half_periods, superfast
         )
     except InputError as error:
         raise InputError(f"{samples}: {error}") from error
     return Localization(
-        samples, config.name, name, str(device) if device else None, None if heard is None else heard.remark,
+        samples, config.name, name, str(device) if device else None, None if noise is None else noise.remark,
         localizer.estimator, held.sample_rate, len(shots.recordings), poses,
     )  # fmt: skip
 
@@ -272,18 +272,18 @@ def locate_all(
 def _cut(recording: Recording, frequency: float, least: int, half_periods: int | None) -> Recording:
     """The first `half_periods` of a recording, which must hold `least`."""
     n = recording.field.shape[1]
-    wanted = round(least * recording.sample_rate / (2.0 * frequency))
-    if n + 1 < wanted or n < 2:
+    n_needed = round(least * recording.sample_rate / (2.0 * frequency))
+    if n + 1 < n_needed or n < 2:
         raise InputError(
             f"Each shot lasts {1e3 * recording.duration:.2f} ms ({n} samples at {recording.sample_rate:g} Hz); "
             f"{least} half-period{'s' * (least > 1)} of {frequency:g} Hz take{'' if least > 1 else 's'} "
             f"{500.0 * least / frequency:.2f} ms."
         )
-    return recording if half_periods is None else replace(recording, field=recording.field[:, : max(wanted, 2)])
+    return recording if half_periods is None else replace(recording, field=recording.field[:, : max(n_needed, 2)])
 
 
 def _doubt(pose: Pose) -> str:
     """Why a pose is not trusted; empty if it is."""
     sigma = 1e3 * float(np.sqrt(np.diag(pose.covariance)[:3].max()))
-    said = f"not trusted: R² {pose.r_squared:.3f}, flip margin {pose.flip_margin:.2f}, σ {sigma:.2g} mm"
-    return "" if pose.trusted else said
+    reason = f"not trusted: R² {pose.r_squared:.3f}, flip margin {pose.flip_margin:.2f}, σ {sigma:.2g} mm"
+    return "" if pose.trusted else reason

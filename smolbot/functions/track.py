@@ -176,22 +176,22 @@ def track(
         view = find_view(corners, places, film.size, camera_height, pixel_sigma=CLICK_SIGMA)  # type: ignore[arg-type]
         camera = (f"four points, {view.rms:.2f} pixels rms",)
     empty = None if background is None else read_picture(Path(background), film.size)
-    seen = track_body(film, view, _body(config, mark), height, background=empty, progress=progress)
-    figures, warnings = _figures_of(seen, film, view, config, height, pictured=empty is not None)
+    result = track_body(film, view, _body(config, mark), height, background=empty, progress=progress)
+    figures, warnings = _figures_of(result, film, view, config, height, pictured=empty is not None)
     alignment = analysis = None
     if poses is not None:
-        alignment = align(seen, poses, offset)
-        analysis = analyse(seen, poses, alignment, plane_known=robot_height is not None)
-        seen = seen.shift(alignment.offset)
+        alignment = align(result, poses, offset)
+        analysis = analyse(result, poses, alignment, plane_known=robot_height is not None)
+        result = result.shift(alignment.offset)
         figures |= {"run": str(run), "offset_s": alignment.offset, "offset_sigma_s": alignment.sigma,
                     "correlation": alignment.correlation} | analysis.compute_figures()  # fmt: skip
         if alignment.sigma > MAX_OFFSET_SIGMA:
             warnings.append("when the video began is not sure: it shows too little but straight movement")
         path = None if poses.mission is None else poses.mission.path
-        error = None if path is None else compute_tracking_error(seen, path, poses)
+        error = None if path is None else compute_tracking_error(result, path, poses)
         figures |= {} if error is None else {"tracking_error_mm": error}
     found = VideoTrack(
-        film.path, config.name, height, height_from, camera, view, seen, figures, tuple(warnings), alignment, analysis
+        film.path, config.name, height, height_from, camera, view, result, figures, (*warnings,), alignment, analysis
     )
     if out is not None:
         name = film.path.name if run is None else Path(run).resolve().name

@@ -359,9 +359,9 @@ class _RunBuilder:
         for number in sorted(self._timings):
             timing, parts = self._timings[number], self._parts.get(number, {})
             shot = shots.get(timing.shot)
-            wanted = {"/commands"} | ({"/poses/raw"} if timing.has_pose else set())
-            wanted |= {"/poses/tracked"} if timing.has_tracked else set()
-            if shot is None or not wanted <= parts.keys():
+            needed = {"/commands"} | ({"/poses/raw"} if timing.has_pose else set())
+            needed |= {"/poses/tracked"} if timing.has_tracked else set()
+            if shot is None or not needed <= parts.keys():
                 continue  # part of it was dropped
             found.moments.append(_make_moment(shot, timing, parts))
             found.shot_of_cycle.append(timing.shot)

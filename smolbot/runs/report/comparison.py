@@ -171,9 +171,9 @@ def _compare_figures(flights: list[RecordedFlight]) -> list[ComparedFigure]:
         ("compute_ms.median", "median computing time", "compute", compute_median),
     ]
     single += [("loop_rate_hz", "loop rate"), ("duration_s", "duration"), ("cycles", "cycles")]
-    told = [compute_series(flight) for flight in flights]
+    series = [compute_series(flight) for flight in flights]
     found = [
-        _compare_series(key, name, [one.get(kind) for one in told], statistic) for key, name, kind, statistic in rows
+        _compare_series(key, name, [one.get(kind) for one in series], statistic) for key, name, kind, statistic in rows
     ]
     found += [_compare_numbers(key, name, [flight.summary.get(key) for flight in flights]) for key, name in single]
     return [figure for figure in found if any(figure.values)]

@@ -48,16 +48,16 @@ def describe_state(flight: FlightState, time_: float | None = None) -> tuple[str
     ended = flight.ending
     if ended is not None and (time_ is None or time_ >= flight.latest):
         return ended.status.upper(), _ENDINGS.get(ended.status, RED)
-    said = flight.find_text(time_)
-    if said is None:
+    text = flight.find_text(time_)
+    if text is None:
         return ("LEARNING" if flight.mission is not None else "STARTING"), BLUE
     if flight.is_paused(time_):
         return "PAUSED", AMBER
-    if said.mode == "track":
-        return ("APPROACHING", BLUE) if said.phase == "approach" else ("FLYING", GREEN)
-    if said.mode == "hold" and not flight.steers:
+    if text.mode == "track":
+        return ("APPROACHING", BLUE) if text.phase == "approach" else ("FLYING", GREEN)
+    if text.mode == "hold" and not flight.steers:
         return "WATCHING", GREEN
-    return _MODES.get(said.mode, (said.mode.upper(), BLUE))
+    return _MODES.get(text.mode, (text.mode.upper(), BLUE))
 
 
 def make_bar_state(
@@ -85,12 +85,12 @@ def make_bar_state(
         word = ("STARTING", BLUE) if starting else ("IDLE", GREY)
         note = f"{starting} loads" if starting else "Choose a mission and start it, or open a run."
         return _fill_bar_state(word, "smolbot console", note, flying=False)
-    said = flight.find_text(time_)
+    text = flight.find_text(time_)
     values = flight.cycles.get_values(time_)
     error, progress = (values[-1, 0], values[-1, 2]) if len(values) else (math.nan, math.nan)
     allowed = flight.tolerance
     happened = flight.list_events(time_)
-    note = (said.note if said else "it listens, and learns the noise and the coils") or (
+    note = (text.note if text else "it listens, and learns the noise and the coils") or (
         happened[-1][1] if happened else ""
     )
     if flight.ending is not None and (time_ is None or time_ >= flight.latest):

@@ -151,11 +151,10 @@ class Hub:
         ----------
         line : MissionConnection
         """
-        told = line.stopped or {}
-        took = 1e3 * (told.get("zero", 0.0) - told.get("heard", 0.0))
-        self.log(
-            f"{self._flights[line].name}: stopped, outputs at zero {took:.1f} ms after the order ({told.get('asked')})."
-        )
+        report = line.stopped or {}
+        took = 1e3 * (report.get("zero", 0.0) - report.get("heard", 0.0))
+        name, asked = self._flights[line].name, report.get("asked")
+        self.log(f"{name}: stopped, outputs at zero {took:.1f} ms after the order ({asked}).")
 
     def remove_mission(self, line: MissionConnection, why: str) -> None:
         """Remove a mission; see `MissionListener`.
@@ -219,15 +218,15 @@ class Hub:
         waiting = [child for child in self._list_alive() if not child.joined]
         begun = time.monotonic()
         self.order(Kind.STOP, asked)
-        told: list[dict[str, Any]] = []
+        reports: list[dict[str, Any]] = []
         for line in lines:
             line.answered.wait(max(begun + STOP_TIMEOUT - time.monotonic(), 0.0))
             name, process = line.about.get("mission"), line.about.get("process")
             answer = {"mission": name, "process": process, "stopped": line.stopped is not None or not line.open}
-            told.append({**answer, "took_ms": 1e3 * (time.monotonic() - begun)})
+            reports.append({**answer, "took_ms": 1e3 * (time.monotonic() - begun)})
         for child in waiting:
-            told.append({"mission": child.name, "process": child.process.pid, "stopped": True, "took_ms": 0.0})
-        return told
+            reports.append({"mission": child.name, "process": child.process.pid, "stopped": True, "took_ms": 0.0})
+        return reports
 
     def start(self, arguments: Sequence[str], name: str) -> ChildMission:
         """Start ``smolbot run`` as a process of its own, which joins this console.

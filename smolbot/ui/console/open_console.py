@@ -88,11 +88,11 @@ class OpenConsole:
             End also once no mission and no page is left.
         """
         left = 0.0
-        seen = False
+        connected = False
         while not over.wait(0.25):
-            seen |= self.hub.flying
+            connected |= self.hub.flying
             left = 0.0 if self.hub.busy or self.page.bar.open else left + 0.25
-            if follow and left >= (IDLE_TIMEOUT if seen else JOIN_TIMEOUT):
+            if follow and left >= (IDLE_TIMEOUT if connected else JOIN_TIMEOUT):
                 return
 
     def close(self) -> None:

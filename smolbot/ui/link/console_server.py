@@ -192,9 +192,9 @@ class ConsoleServer:
             if about["role"] == "mission":
                 self._serve_mission(sock, about)
             elif about["role"] == "stop":
-                told = self._stop(str(about.get("asked", "smolbot stop")))
+                answers = self._stop(str(about.get("asked", "smolbot stop")))
                 with contextlib.suppress(OSError):
-                    sock.sendall(make_frame(Kind.STOPPED, json.dumps(told).encode()))
+                    sock.sendall(make_frame(Kind.STOPPED, json.dumps(answers).encode()))
 
     def _authenticate(self, sock: socket.socket) -> dict[str, Any]:
         """Authenticate a peer; return its description of itself."""
@@ -264,7 +264,7 @@ def request_stop(sock: socket.socket, asked: str, timeout: float = 5.0) -> list[
         kind, words = receive(sock, MAX_FRAME_SIZE)
     except OSError as error:
         raise LinkError(f"the console does not answer: {error}") from error
-    told = json.loads(words) if kind is Kind.STOPPED else None
-    if not isinstance(told, list):
+    answer = json.loads(words) if kind is Kind.STOPPED else None
+    if not isinstance(answer, list):
         raise LinkError(f"the console answers {kind.name}: {words.decode(errors='replace')}")
-    return told
+    return answer
