@@ -18,7 +18,7 @@ SATURATION_SHARE = 0.999
 """Share of the range beyond which a sample counts as saturated."""
 
 MIN_SWING_STEPS = 0.1
-"""Share of a step of the converter: a whole file that moves by less does not hold volts."""
+"""Share of a step of the converter: a file whose values vary by less does not hold volts."""
 
 MAX_CONSTANT_TIME = 3e-4
 """A channel that moves stands still for at most so long, in s, or as long as the crest of a slow wave lasts."""

@@ -46,8 +46,8 @@ class SensorsSection(FileModel):
     """Single-axis magnetometers and the converter behind them.
 
     `gains` are those of the single sensors relative to the sensitivity; `calibrated` names a sensors file
-    whose places, axes and gains are believed instead of those that stand here. The tolerances say how far
-    sensors may be from what stands here, one standard deviation; where they are given, flights learn what they are off.
+    whose places, axes and gains are used instead of those given here. The tolerances state how far
+    sensors may deviate from these values, one standard deviation; if they are given, flights learn the deviations.
 
     Attributes
     ----------

@@ -46,7 +46,7 @@ def calibrate(
     seed : int
         Of a simulated tank.
     out : path, optional
-        Device file to write; none is written without it. ``{robot}`` in it stands for the robot's name.
+        Device file to write; none is written without it. ``{robot}`` in it is replaced by the robot's name.
     settings : mapping of str to str, optional
         Laid over the files, keys with dots.
     progress : callable, optional
@@ -63,7 +63,7 @@ def calibrate(
     InputError, ConfigError
         For every fault of what was given, before the rig is opened.
     SignalLostError, InterlockError, RigError
-        If the device is not heard; as the rig raises them.
+        If the signal of the device is not detected; as the rig raises them.
 
     Examples
     --------

@@ -36,7 +36,7 @@ class LocatedShot(Readable):
     ----------
     shot, segment : int
     time : float, in s
-        Middle of what was heard.
+        Middle of the recording.
     pose : Pose or None
         None where nothing could be fitted.
     note : str
@@ -86,7 +86,7 @@ class Localization(Readable):
     rig, robot : str
         Names of both.
     device : str or None
-        The device file that was believed; None for what the robot file says.
+        The device file that was used; None for the values of the robot file.
     quiet : str or None
         What the noise was learned from; None where it is the localizer's own.
     estimator : str
@@ -141,7 +141,7 @@ def localize(
     samples : path
         Samples in V: .npz, .mat, .h5 or .csv.
     rig : str
-        The rig whose sensors heard them, by name or path.
+        The rig whose sensors recorded them, by name or path.
     robot : str, optional
         By name or path; by default the device file's, or ``gradient``.
     device : path, optional
@@ -194,7 +194,7 @@ def localize(
 def make_localizer(
     rig: RigConfig, device: Device, estimator: str | None, quiet: str | Path | None, rate: float
 ) -> tuple[Localizer, BackgroundNoise | None]:
-    """A localizer for the rig's array, with the noise learned from quiet samples where they are given.
+    """Make a localizer for the rig's array, with the noise learned from background samples if they are given.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def make_localizer(
 def locate_all(
     localizer: Localizer, shots: SampleRecordings, half_periods: int | None = None, segments: int | None = None
 ) -> tuple[LocatedShot, ...]:
-    """Poses in order, each with the last trusted one as prior; a shot that cannot be located keeps its place.
+    """Locate all shots in order, each with the last trusted pose as prior; one without a pose keeps its place.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ def locate_all(
 
 
 def _cut(recording: Recording, frequency: float, least: int, half_periods: int | None) -> Recording:
-    """The first `half_periods` of a recording, which must hold `least`."""
+    """Cut the first `half_periods` from a recording, which must hold `least`."""
     n = recording.field.shape[1]
     n_needed = round(least * recording.sample_rate / (2.0 * frequency))
     if n + 1 < n_needed or n < 2:

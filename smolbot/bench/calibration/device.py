@@ -154,7 +154,7 @@ class Calibration(Readable):
     evidence : float
         Difference of the BIC of the two damping models, positive for the one chosen; above 10 is decisive.
     stops_reached : bool
-        If not, theta_max is the believed one, or the largest amplitude seen if that is larger.
+        If not, theta_max is the assumed one, or the largest amplitude measured if that is larger.
     shots : int
     robot, rig : str
         Names of both, where they are known.

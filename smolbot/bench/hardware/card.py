@@ -127,7 +127,7 @@ class Card:
         for stream in (
             self._reader, self._output_writer, self._line_writer, self._zero_output_writer, self._zero_line_writer,
         ):  # fmt: skip
-            stream.verify_array_shape = False  # it asks the server, with every call
+            stream.verify_array_shape = False  # it queries the server with every call
         self._set_clock("outputs", 2)
         self.outputs.triggers.start_trigger.cfg_dig_edge_start_trig(f"/{name}/ai/StartTrigger")
         self._set_clock("lines", 2)

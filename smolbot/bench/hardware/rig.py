@@ -340,7 +340,7 @@ class BenchRig(Closeable):
         if self._magnet is not None:
             self._magnet.stop()
         if self._supply is not None:
-            with contextlib.suppress(RigError):  # nothing is driven any more, whether it hears this or not
+            with contextlib.suppress(RigError):  # nothing is driven any more, whether it receives this or not
                 self._supply.switch_off()
 
     def _refuse_if_stopped(self) -> None:

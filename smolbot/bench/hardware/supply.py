@@ -88,7 +88,7 @@ class Supply:
         self._section = section
         self._name = f"power supply at {section.where}"
         self._scpi = ScpiSocket(self._name, section.address, section.timeout)
-        self._times_off = 0  # how often it was told to be off
+        self._times_off = 0  # number of commands to switch off
         self._set_after = -1  # how often when it was last configured
         self._closed = False
         try:

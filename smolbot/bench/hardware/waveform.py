@@ -68,7 +68,7 @@ class _Drive:
 class WaveformCompiler:
     """Converts electrical shots to waveforms for one bench.
 
-    A relay is told to close early enough to have settled when its load's window begins: before the shot or, if
+    A relay is switched early enough to have settled when its load's window begins: before the shot or, if
     another load used the same output until then, as soon as the relay of that load has opened. The output stays at
     zero meanwhile. At most the time in which one relay opens and another closes is lost from the window, which
     keeps its place.

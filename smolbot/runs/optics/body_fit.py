@@ -22,7 +22,7 @@ SEARCH_DISTANCES = (0.9e-3, 0.9e-3, 0.6e-3, 0.6e-3, *[0.4e-3] * 8)
 PARAMETER_SCALE = np.array([1e-3, 1e-3, 1.0])  # of a change in x, y (m) and heading (rad)
 CONVERGED = (2e-6, 2e-4)  # m and rad
 
-MAX_EDGE_DISTANCE = 0.2e-3  # m: a step that lies this near to the hull bears it out
+MAX_EDGE_DISTANCE = 0.2e-3  # m: a brightness step this near to the hull supports the fit
 MIN_SHARPNESS = 0.08  # of the body's contrast, in a pixel: what ends more softly is a shadow
 EDGE_SPAN = 4  # samples on either side that a step is made out from
 SAMPLE_STEP = 0.5  # pixels between two samples of a profile

@@ -18,7 +18,7 @@ from smolbot.runs.optics.video import Video
 from smolbot.runs.optics.view import View
 
 MIN_OUTLINE_SHARE = 0.7
-"""Share of the outline that must be seen; with less, the body counts as hidden in that frame."""
+"""Share of the outline that must be detected; with less, the body counts as hidden in that frame."""
 
 SEARCH_MARGIN = 3e-3  # m around the last place that are looked at first
 MAX_CANDIDATES = 4  # blobs that are tried where the body is not near its last place
@@ -28,7 +28,7 @@ MIN_DIFFERENCE = 6.0  # grey levels, likewise
 MIN_COLOR_DISTANCE = 2.0  # standard deviations of noise and uneven light, likewise
 MIN_MARK_OFFSET = 0.05  # of half lengths: a mark less far from the middle tells head from tail no more
 CLEAR_MARK_OFFSET = 0.25  # of half lengths: a mark so far on the other side tells by itself
-MAX_HEADING_GAP = 0.25  # s: over longer ones heading is not carried on
+MAX_HEADING_GAP = 0.25  # s: over longer ones heading is not continued
 
 
 @dataclass(frozen=True)

@@ -40,8 +40,8 @@ from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.runs.optics.view import View, find_view
 
-MIN_MARKERS = 2  # markers: one alone says too little of how the camera is tilted
-MAX_RESIDUAL = 0.5e-3  # m: markers that fit no better do not lie where the file says
+MIN_MARKERS = 2  # markers: one alone does not determine the tilt of the camera
+MAX_RESIDUAL = 0.5e-3  # m: markers with larger residuals are not where the file states
 DICTIONARIES = [f"{n}x{n}_{m}" for n in (4, 5, 6, 7) for m in (50, 100, 250, 1000)] + ["apriltag_36h11"]
 
 

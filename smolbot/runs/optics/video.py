@@ -17,7 +17,7 @@ Image = Any
 N_BACKGROUND_FRAMES = 25
 """Frames, evenly spread, of which the median is the background."""
 
-MAX_FPS = 1e6  # frames per second: what says more has no frame rate
+MAX_FPS = 1e6  # frames per second: a file that states more has no valid frame rate
 MAX_MISSING_FRAMES = 2  # frames that a container may promise and not hold
 
 

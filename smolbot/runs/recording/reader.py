@@ -161,7 +161,7 @@ class RecordedRun(Readable):
             except ConfigError as error:
                 raise ConfigError(str(error).replace(folder, str(self.path))) from error
         for document in (mission.document, mission.rig.document, mission.robot.document):
-            document.path = self.path / document.path.name  # what is told later names the record, not where it was
+            document.path = self.path / document.path.name  # later errors name the record, not the original place
         return mission
 
     @property

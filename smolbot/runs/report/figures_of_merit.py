@@ -153,7 +153,7 @@ def append_unit(shown: str, unit: str) -> str:
 
 
 def _format_cells(key: str, value: Any) -> Markup:
-    """Each number of a figure that has several, with its name."""
+    """Format each number of a figure that has several, with its name."""
     if isinstance(value, dict):
         return ELEMENTS.named_figures([(name, _format_data(f"{key}.{name}", inner)) for name, inner in value.items()])
     if isinstance(value, list):

@@ -15,7 +15,7 @@ LABELS = {
     "ring-down learned": "excitation ring-down identified",
     "noise learned": "noise model identified",
 }
-"""How events are called in a report, where their name in the record says too little."""
+"""Names of events in a report, if those in the record are not clear enough."""
 
 
 def build_events_section(flight: RecordedFlight) -> Section:

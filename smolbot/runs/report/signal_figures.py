@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 Places = npt.NDArray[np.intp]
 
 N_CHANNELS_SHOWN = 4
-"""Of the window that is shown: those that heard most."""
+"""Channels of the window that is shown: those with the largest signal."""
 
 MAX_FREQUENCY = 2000.0
-"""In Hz: above it sensors hear little."""
+"""In Hz: above it the sensors measure little."""
 
 
 def draw_fit_figure(flight: RecordedFlight, windows: list[FittedWindow], lines: FloatArray) -> Figure:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, parse_settings
 
 BEGUN = "# A mission of your own. name and description are what reports call it.\n"
-"""Comment line with which a mission of `init` begins, in place of what it says of the shipped path."""
+"""Comment line with which a mission of `init` begins, in place of the description of the shipped path."""
 
 GROUPS = {
     "controllers": "controllers",
@@ -117,7 +117,7 @@ def _force_rows(mission: Mission, reach: ForceProfile | None) -> list[tuple[str,
 
 
 def _force_figures(reach: ForceProfile | None) -> dict[str, Any]:
-    """The same for ``--json``; null where the law does not say."""
+    """Collect the same for ``--json``; null if the law does not provide it."""
     import numpy as np
 
     if reach is None:

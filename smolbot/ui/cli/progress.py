@@ -63,7 +63,7 @@ class MissionProgress:
 
     @contextmanager
     def pause(self) -> Iterator[None]:
-        """Hide the bar while a ``with`` block prints or asks something."""
+        """Hide the bar while a ``with`` block prints or asks a question."""
         self.stop()
         try:
             yield

@@ -101,7 +101,7 @@ def track(
 
 
 def _rows(found: VideoTrack) -> list[tuple[str, str]]:
-    """The track, what makes it doubtful, and a run's errors against it."""
+    """Format the track, its warnings, and a run's errors against it."""
     f, t = found.figures, found.track
     place = ", ".join(f"{1e3 * v:.0f}" for v in found.view.position)
     rows = [

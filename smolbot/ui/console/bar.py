@@ -134,7 +134,7 @@ class Bar:
     Parameters
     ----------
     look : callable
-        Returns what to show; see `told`.
+        Returns what to show; see `make_bar_state`.
     order : callable
         Passes an order on to every mission, without waiting.
     may_order : callable
@@ -159,7 +159,7 @@ class Bar:
         self.open = 0
 
     def answer(self, path: str) -> tuple[int, str, bytes] | None:
-        """Answer a plain request; see `door.open_viser`.
+        """Answer a plain request; see `page_access.open_viser`.
 
         Parameters
         ----------

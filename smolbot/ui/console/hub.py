@@ -96,7 +96,7 @@ class Hub:
 
     Attributes
     ----------
-    gate : ConsoleServer
+    console_server : ConsoleServer
         Set by whoever opens it, once the hub exists.
     live : FlightState or None
         The run that joined last.
@@ -104,7 +104,7 @@ class Hub:
 
     def __init__(self, log: Log) -> None:
         self.log = log
-        self.gate: ConsoleServer | None = None
+        self.console_server: ConsoleServer | None = None
         self.file: Path | None = None
         self.live: FlightState | None = None
         self._flights: dict[MissionConnection, FlightState] = {}
@@ -194,7 +194,7 @@ class Hub:
         words : str
             Who gives the order.
         """
-        for line in self.gate.connections if self.gate else []:
+        for line in self.console_server.connections if self.console_server else []:
             line.send_order(kind, words)
         if kind is Kind.STOP:
             for child in self._list_alive():
@@ -214,7 +214,7 @@ class Hub:
         list of dict
             For each mission: name, process, whether it stopped, and the time that it took in ms.
         """
-        lines = self.gate.connections if self.gate else []
+        lines = self.console_server.connections if self.console_server else []
         waiting = [child for child in self._list_alive() if not child.joined]
         begun = time.monotonic()
         self.order(Kind.STOP, asked)
@@ -270,8 +270,8 @@ class Hub:
                 child.process.wait(10.0)
             except subprocess.TimeoutExpired:
                 child.process.send_signal(signal.SIGTERM)
-        if self.gate is not None:
-            self.gate.close()
+        if self.console_server is not None:
+            self.console_server.close()
 
     def _list_alive(self) -> list[ChildMission]:
         return [child for child in list(self._children) if child.process.poll() is None]

@@ -71,9 +71,9 @@ class OpenConsole:
         self.hub = Hub(Log(log))
         secret = make_secret()
         self.page = Page(self.access, self.hub, runs)
-        self.hub.gate = ConsoleServer(secret, self.hub, self.hub.stop, self.hub.log)
+        self.hub.console_server = ConsoleServer(secret, self.hub, self.hub.stop, self.hub.log)
         self.console = Console(
-            os.getpid(), self.hub.gate.port, secret, self.access.address, port, str(runs.absolute())
+            os.getpid(), self.hub.console_server.port, secret, self.access.address, port, str(runs.absolute())
         )  # fmt: skip
         self.file = self.hub.file = write_console(self.console)
 

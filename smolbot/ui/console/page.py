@@ -142,8 +142,8 @@ class Page:
     async def _send_heartbeats(self) -> None:
         """Send heartbeats from the event loop that passes on a STOP: if it hangs, missions stop by themselves."""
         while not self._over.is_set():
-            if self.hub.gate is not None:
-                self.hub.gate.send_heartbeats()
+            if self.hub.console_server is not None:
+                self.hub.console_server.send_heartbeats()
             await asyncio.sleep(HEARTBEAT_INTERVAL)
 
     def _run(self) -> None:

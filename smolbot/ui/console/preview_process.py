@@ -79,7 +79,7 @@ def select_rows(found_preview: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def panel(kind: str, *data: object) -> str:
-    """What a panel says, as HTML.
+    """Format the text of a panel as HTML.
 
     Parameters
     ----------

@@ -146,7 +146,7 @@ class ConsoleServer:
         self._connections: list[MissionConnection] = []
         self._socket = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._socket.getsockname()[1]
-        threading.Thread(target=self._accept, name="gate", daemon=True).start()
+        threading.Thread(target=self._accept, name="console server", daemon=True).start()
 
     @property
     def connections(self) -> list[MissionConnection]:
