@@ -1,4 +1,4 @@
-"""Keys of a file that make others void: those that say anew what path is meant, or of what kind sensors are."""
+"""Keys of a file that make others void: those that redefine the path, or the kind of sensors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def void_keys(data: Mapping[str, Any], upper: Mapping[str, Any]) -> list[tuple[s
     Parameters
     ----------
     data : mapping
-        What the file says.
+        Content of the file.
     upper : mapping
         What is laid over it: another file, or settings.
 

@@ -52,19 +52,19 @@ class Fault:
 
 
 class Document:
-    """A TOML file: its text, its data, and where each key stands.
+    """A TOML file: its text, its data, and the line of each key.
 
     Parameters
     ----------
     path : Path
     text : str
     parent : Document, optional
-        The file that this one extends: what this one does not say is taken from there.
+        The file that this one extends: what this one does not set is taken from there.
 
     Attributes
     ----------
     data : dict
-        What file, parents and settings say together.
+        Values of file, parents and settings together.
     """
 
     def __init__(self, path: Path, text: str, parent: Document | None = None) -> None:
@@ -100,14 +100,14 @@ class Document:
 
     @property
     def text(self) -> str:
-        """One TOML text that stands alone: parents, file and settings together, with their comments."""
+        """One complete TOML text: parents, file and settings together, with their comments."""
         if not self.settings:
             return self._text
         given = {tuple(name.split(".")): _parse_setting(value) for name, value in self.settings.items()}
         return set_values(self._text, given, self._void)
 
     def place(self, key: KeyPath) -> tuple[Path, int]:
-        """Find where a key stands.
+        """Find the line of a key.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class Document:
         Returns
         -------
         Path
-            Of the file in which `key` stands: this one, which settings are laid over, or one that it extends.
+            Of the file that holds `key`: this one, which settings are laid over, or one that it extends.
         """
         return (self.path if ".".join(map(str, key)) in self.settings else self.place(key)[0]).parent
 

@@ -61,7 +61,7 @@ def read_known_track(path: str | Path) -> KnownTrack:
 
     Returns
     -------
-    Track
+    KnownTrack
 
     Raises
     ------

@@ -87,7 +87,7 @@ def open_file(name: str, kind: str, beside: Path | None = None) -> Document:
 
 
 def _opened(path: Path, kind: str, below: tuple[Path, ...]) -> Document:
-    """The file at `path`, which the files `below` extend, the first of them being the one that was asked for."""
+    """Open the file at `path`, which the files `below` extend; the first of them is the requested one."""
     text = read_text(path)
     alone = Document(path, text)
     name = alone.data.get(EXTENDS)
@@ -120,5 +120,5 @@ def holds_rig(path: Path) -> bool:
     """
     try:
         return "sensors" in open_file(str(path), "rigs").data
-    except (ConfigError, MissingFileError):  # as a mission it is told what is wrong with it
+    except (ConfigError, MissingFileError):  # loading it as a mission reports what is wrong
         return False

@@ -44,7 +44,7 @@ class VerdictSection(FileModel):
 
 
 class MissionFile(MissionBaseFile):
-    """Everything the file of a mission says that steers a robot.
+    """Content of the file of a mission that steers a robot.
 
     Attributes
     ----------

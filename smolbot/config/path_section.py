@@ -135,7 +135,7 @@ def read_path(document: Document, section: PathSection, height: float) -> tuple[
     key = next(name for name in PATHS if getattr(section, name) is not None)
     try:
         outline = _read_outline(document, section)
-        curve = Curve(_to_world(outline, section.center_mm, height))  # points that coincide are told as they were given
+        curve = Curve(_to_world(outline, section.center_mm, height))  # coincident points are reported as given
         remarks = outline.remarks
         if section.corner_radius_mm > 0.0:
             moved = round_corners(outline.points + np.array(section.center_mm), section.corner_radius_mm)

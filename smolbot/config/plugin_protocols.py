@@ -41,7 +41,7 @@ class PathReader(Protocol):
         Returns
         -------
         ndarray, shape (n, 2), in mm
-            x and y in the world frame, seen from the mission's ``[path] center_mm``.
+            x and y in the world frame, relative to the mission's ``[path] center_mm``.
 
         Raises
         ------
@@ -82,14 +82,14 @@ class SensorKind(Protocol):
         Raises
         ------
         ValueError
-            If the values do not go together; its text stands behind file and line.
+            If the values do not go together; its text follows file and line.
         """
 
 
 class StudyPlugin(Protocol):
     """A study of `smolbot study`; an entry point of ``smolbot.studies``, where an object is named, not its class.
 
-    `sim.studies.Study` keeps it: a lab makes one of its own functions, and leaves out what has a default there.
+    `sim.studies.Study` keeps it: a lab makes one of its own functions, and omits what has a default there.
 
     Attributes
     ----------

@@ -103,7 +103,7 @@ def check_protocol(plugin: object, protocol: type, what: str) -> None:
     Raises
     ------
     PluginError
-        With everything that is missing or called otherwise, and what the protocol asks for.
+        With everything that is missing or named differently, and what the protocol requires.
 
     Examples
     --------
@@ -123,7 +123,7 @@ parameter 'time'; it is called as truth(time).
 
 
 def _protocol_faults(plugin: object, protocol: type) -> Iterator[str]:
-    """What a plug-in lacks of a protocol, in the order in which the protocol names it."""
+    """List what a plug-in lacks of a protocol, in the order of the protocol."""
     for base in reversed([b for b in protocol.__mro__ if vars(b).get("_is_protocol")]):
         for name, annotation in vars(base).get("__annotations__", {}).items():
             if ("ClassVar" in annotation or not isinstance(plugin, type)) and not hasattr(plugin, name):
@@ -147,7 +147,7 @@ def _protocol_faults(plugin: object, protocol: type) -> Iterator[str]:
 
 
 def _parameters(owner: object, name: str, *, of_class: bool) -> list[Parameter]:
-    """What the callable `name` takes when it is called: without ``self``, unless it is called `of_class`."""
+    """List the parameters of the callable `name`: without ``self``, unless it is called `of_class`."""
     if name == "__init__" and not vars(owner).get("_is_protocol"):
         return list(inspect.signature(owner).parameters.values())  # type: ignore[arg-type]
     found = list(inspect.signature(getattr(owner, name)).parameters.values())
@@ -180,7 +180,7 @@ def _signature_faults(found: list[Parameter], asked: list[Parameter]) -> Iterato
 
 
 def _spelled(parameter: Parameter) -> str:
-    """A parameter as a definition names it, without its type."""
+    """Format a parameter as in a definition, without its type."""
     return str(parameter.replace(annotation=Parameter.empty))
 
 

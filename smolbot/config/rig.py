@@ -131,7 +131,7 @@ class RigConfig:
         Returns
         -------
         dict
-            As it stands in the file, unchecked; empty without one.
+            As written in the file, unchecked; empty without one.
         """
         section = self.document.data.get(world)
         return section if isinstance(section, dict) else {}
@@ -324,13 +324,13 @@ def load_rig(name: str, settings: dict[str, str] | None = None) -> RigConfig:
         document = document.override(settings, "rig.")
     faults = _expand_sensors(document)
     sections, of_file = validate(RigFile, _without_own_section(document))
-    told = {fault.key for fault in faults}
-    faults += [_of_world(document, fault) for fault in of_file if fault.key not in told] + _find_world_faults(document)
+    known = {fault.key for fault in faults}
+    faults += [_of_world(document, fault) for fault in of_file if fault.key not in known] + _find_world_faults(document)
     if sections is None or faults:
         raise document.error(faults)
     config = RigConfig(document, sections)
     if sections.sensors.calibrated is not None:
-        _ = config.calibrated  # its faults are told before anything opens
+        _ = config.calibrated  # its faults are reported before anything opens
     return config
 
 
@@ -356,13 +356,13 @@ def _expand_sensors(document: Document) -> list[Fault]:
 
 
 def _without_own_section(document: Document) -> dict[str, Any]:
-    """What the file says but for the section that is its world's own."""
+    """Content of the file without its world's own section."""
     world = document.data.get("world")
     return {key: value for key, value in document.data.items() if key != world or key in RigFile.model_fields}
 
 
 def _of_world(document: Document, fault: Fault) -> Fault:
-    """An unknown section that bears the name of another world says so."""
+    """Explain an unknown section that has the name of another world."""
     name, world = str(fault.key[0]) if fault.key else "", document.data.get("world")
     if len(fault.key) != 1 or name in RigFile.model_fields or name not in list_plugins("rigs"):
         return fault

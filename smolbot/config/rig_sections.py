@@ -54,7 +54,7 @@ class CoilSection(FileModel):
 
         Returns
         -------
-        Coil
+        ThermalCoil
         """
         stated, inner, outer = safety.coils, self.inner_radius, self.outer_radius
         length, across = self.length, math.pi * (inner + outer)
@@ -220,9 +220,9 @@ class LimitsSection(FileModel):
 
 
 class RigFile(FileModel):
-    """Everything a rig file says.
+    """Content of a rig file.
 
-    The section that bears the name of the file's world, such as ``[bench]``, is that world's own, which alone
+    The section with the name of the file's world, such as ``[bench]``, is that world's own, which alone
     checks it. ``[tank]`` may stand in any rig file: it is what a simulation of the rig is made of.
 
     Attributes

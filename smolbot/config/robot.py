@@ -81,7 +81,7 @@ class DeviceSection(FileModel):
 
 
 class RobotFile(FileModel):
-    """Everything a robot file says.
+    """Content of a robot file.
 
     Attributes
     ----------

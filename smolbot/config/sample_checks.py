@@ -18,7 +18,7 @@ SATURATION_SHARE = 0.999
 """Share of the range beyond which a sample counts as saturated."""
 
 MIN_SWING_STEPS = 0.1
-"""Share of a step of the converter: a whole file that moves by less does not hold volts."""
+"""Share of a step of the converter: a file whose values vary by less does not hold volts."""
 
 MAX_CONSTANT_TIME = 3e-4
 """A channel that moves stands still for at most so long, in s, or as long as the crest of a slow wave lasts."""
@@ -54,12 +54,12 @@ def check_units(path: Path, volts: FloatArray, rig: RigConfig) -> None:
     section = rig.sections.sensors
     full = _compute_saturation_voltage(rig)
     largest, swing = np.abs(volts).max(axis=2), np.ptp(volts, axis=2)
-    told = f"{path}: volts must be in V, at {section.sensitivity_v_per_ut:g} V/µT as rig '{rig.name}' says"
+    rule = f"{path}: volts must be in V, at {section.sensitivity_v_per_ut:g} V/µT as rig '{rig.name}' says"
     free = np.sum(largest < full, axis=1)
     if np.all(free < MIN_OUTPUTS):
         typical = int(np.argsort(largest.min(axis=0))[largest.shape[1] // 2])
         raise InputError(
-            f"{told}: at most {free.max()} of {largest.shape[1]} channels are not saturated; channel {typical} reaches "
+            f"{rule}: at most {free.max()} of {largest.shape[1]} channels are not saturated; channel {typical} reaches "
             f"{largest[:, typical].min():.4g} V, the range is {full / SATURATION_SHARE:.4g} V. "
             "Are they in mV, nT or counts, or is the constant field not nulled?",
             channel=str(typical),
@@ -72,7 +72,7 @@ def check_units(path: Path, volts: FloatArray, rig: RigConfig) -> None:
     if swing.max() < MIN_SWING_STEPS * step:
         channel = int(np.argmax(swing.max(axis=0)))
         raise InputError(
-            f"{told}: channel {channel} moves most, by {swing.max():.2g} V, less than a step of the converter, "
+            f"{rule}: channel {channel} moves most, by {swing.max():.2g} V, less than a step of the converter, "
             f"{step:.2g} V. Are they in T?",
             channel=str(channel),
         )

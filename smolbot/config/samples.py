@@ -136,7 +136,7 @@ def make_recordings(samples: Samples, rig: RigConfig) -> SampleRecordings:
 
     Returns
     -------
-    Shots
+    SampleRecordings
 
     Raises
     ------
@@ -146,11 +146,11 @@ def make_recordings(samples: Samples, rig: RigConfig) -> SampleRecordings:
     """
     section = rig.sections.sensors
     n_shots, n_channels, n = samples.volts.shape
-    wanted = len(rig.sensors)
-    if n_channels != wanted:
-        turned = " The array looks transposed: channels come before samples." if wanted in (n, n_shots) else ""
+    n_sensors = len(rig.sensors)
+    if n_channels != n_sensors:
+        hint = " The array looks transposed: channels come before samples." if n_sensors in (n, n_shots) else ""
         raise InputError(
-            f"{samples.path}: volts has {n_channels} channels; rig '{rig.name}' has {wanted} sensors.{turned}"
+            f"{samples.path}: volts has {n_channels} channels; rig '{rig.name}' has {n_sensors} sensors.{hint}"
         )
     if not np.isfinite(samples.volts).all():
         shot, channel, sample = (int(i) for i in np.argwhere(~np.isfinite(samples.volts))[0])
@@ -164,11 +164,11 @@ def make_recordings(samples: Samples, rig: RigConfig) -> SampleRecordings:
     recordings, notes = [], []
     for shot in range(n_shots):
         unsound = find_invalid_channels(samples.volts[shot], samples.sample_rate, rig)
-        said = []
+        notes_of_shot = []
         for why, bad in unsound.items():
             if bad.any():
                 which = ", ".join(str(i) for i in np.flatnonzero(bad))
-                said.append(f"left out: {why} channel{'s' if bad.sum() > 1 else ''} {which}")
+                notes_of_shot.append(f"left out: {why} channel{'s' if bad.sum() > 1 else ''} {which}")
         recordings.append(
             Recording(
                 field[shot], samples.sample_rate, float(samples.time_since_drive[shot]),
@@ -176,7 +176,7 @@ def make_recordings(samples: Samples, rig: RigConfig) -> SampleRecordings:
                 clock=float(samples.clock[shot]),
             )
         )  # fmt: skip
-        notes.append("; ".join(said))
+        notes.append("; ".join(notes_of_shot))
     return SampleRecordings(tuple(recordings), tuple(notes))
 
 
@@ -196,8 +196,8 @@ def _check_keys(path: Path, values: Mapping[str, Any], quiet: bool) -> None:
         spoken = [key for key in missing if key != "volts"]
         header = f" Put it into a header line, such as '# {spoken[0]} = 20'." if spoken else ""
         header = header if path.suffix.lower() == ".csv" else ""
-        told = "; ".join(f"{key} ({how[key]})" for key in missing)
-        raise InputError(f"{path}: missing {told}.{header}")
+        missing_keys = "; ".join(f"{key} ({how[key]})" for key in missing)
+        raise InputError(f"{path}: missing {missing_keys}.{header}")
 
 
 def _parse_numbers(path: Path, key: str, value: Any) -> FloatArray:

@@ -46,8 +46,8 @@ class SensorsSection(FileModel):
     """Single-axis magnetometers and the converter behind them.
 
     `gains` are those of the single sensors relative to the sensitivity; `calibrated` names a sensors file
-    whose places, axes and gains are believed instead of those that stand here. The tolerances say how far
-    sensors may be from what stands here, one standard deviation; where they are given, flights learn what they are off.
+    whose places, axes and gains are used instead of those given here. The tolerances state how far
+    sensors may deviate from these values, one standard deviation; if they are given, flights learn the deviations.
 
     Attributes
     ----------
@@ -269,11 +269,12 @@ def load_sensors(path: Path, rig: str, section: SensorsSection) -> CalibratedSen
             faults.append(Fault(("sensors", key), f"{differ} Calibrate anew."))
     if faults:
         raise document.error(faults)
-    left = sections.uncertainty
-    if left is not None and len(left.positions_mm) != len(found.positions_mm):
-        counts = f"holds {len(left.positions_mm)} sensors; [sensors] holds {len(found.positions_mm)}."
+    uncertainty = sections.uncertainty
+    if uncertainty is not None and len(uncertainty.positions_mm) != len(found.positions_mm):
+        counts = f"holds {len(uncertainty.positions_mm)} sensors; [sensors] holds {len(found.positions_mm)}."
         raise document.error([Fault(("uncertainty", "positions_mm"), counts)])
-    return CalibratedSensors(found.array, freeze(found.gain_of_each), None if left is None else left.covariance)
+    covariance = None if uncertainty is None else uncertainty.covariance
+    return CalibratedSensors(found.array, freeze(found.gain_of_each), covariance)
 
 
 def write_sensors(path: str | Path, config: SensorsFile) -> None:

@@ -1,8 +1,8 @@
-"""TOML text in layers: what one file or setting says laid over another's text, comments kept.
+"""TOML text in layers: one file or setting laid over another's text, comments kept.
 
 A comment at the end of a line belongs to the value before it and goes where the value goes. Comment lines above a key
 or header stay unless the upper layer has its own there. Tables are merged key by key; all else is a value, and is
-replaced whole: arrays, inline tables ``{ … }``, arrays of tables ``[[ … ]]``.
+replaced as a unit: arrays, inline tables ``{ … }``, arrays of tables ``[[ … ]]``.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Entry:
     item : Item or None
         Value of a key, its comment included; None of a header.
     comment : str
-        What stands behind a header.
+        Text after a header.
     """
 
     above: str = ""
@@ -58,7 +58,7 @@ def lay_over(base: str, upper: str, without: Iterable[KeyPath]) -> str:
     Parameters
     ----------
     base, upper : str
-        What `upper` says takes the place of what `base` says.
+        Its values replace those of `base`.
     without : iterable of key paths
         Keys and tables that are left out of either.
 
@@ -124,7 +124,7 @@ def _without(layer: Layer, keys: Iterable[KeyPath]) -> Layer:
 
 
 def _valued(value: Any, old: Item | None) -> Item:
-    """A value as an item, with the comment of the one that it replaces."""
+    """Make an item of a value, with the comment of the one that it replaces."""
     import tomlkit
 
     item: Any = tomlkit.inline_table() if isinstance(value, dict) else tomlkit.item(value)

@@ -81,5 +81,5 @@ class StagedWorld(Protocol):
 
         Returns
         -------
-        Stage
+        CalibrationStage
         """

@@ -41,12 +41,12 @@ def calibrate(
         Known z of the cantilever's rotation centre above the sensors.
     robot : str, optional
         By name or path; by default the mission's, or ``gradient``.
-    plan : Plan, optional
+    plan : CalibrationPlan, optional
         How long bursts are, and how many.
     seed : int
         Of a simulated tank.
     out : path, optional
-        Device file to write; none is written without it. ``{robot}`` in it stands for the robot's name.
+        Device file to write; none is written without it. ``{robot}`` in it is replaced by the robot's name.
     settings : mapping of str to str, optional
         Laid over the files, keys with dots.
     progress : callable, optional
@@ -63,7 +63,7 @@ def calibrate(
     InputError, ConfigError
         For every fault of what was given, before the rig is opened.
     SignalLostError, InterlockError, RigError
-        If the device is not heard; as the rig raises them.
+        If the signal of the device is not detected; as the rig raises them.
 
     Examples
     --------

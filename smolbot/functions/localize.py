@@ -36,7 +36,7 @@ class LocatedShot(Readable):
     ----------
     shot, segment : int
     time : float, in s
-        Middle of what was heard.
+        Middle of the recording.
     pose : Pose or None
         None where nothing could be fitted.
     note : str
@@ -86,7 +86,7 @@ class Localization(Readable):
     rig, robot : str
         Names of both.
     device : str or None
-        The device file that was believed; None for what the robot file says.
+        The device file that was used; None for the values of the robot file.
     quiet : str or None
         What the noise was learned from; None where it is the localizer's own.
     estimator : str
@@ -141,7 +141,7 @@ def localize(
     samples : path
         Samples in V: .npz, .mat, .h5 or .csv.
     rig : str
-        The rig whose sensors heard them, by name or path.
+        The rig whose sensors recorded them, by name or path.
     robot : str, optional
         By name or path; by default the device file's, or ``gradient``.
     device : path, optional
@@ -178,15 +178,15 @@ def localize(
     name, known = find_device(robot, device)
     held = read_samples(samples)
     shots = make_recordings(held, config)
-    localizer, heard = make_localizer(config, known, estimator, quiet, held.sample_rate)
+    localizer, noise = make_localizer(config, known, estimator, quiet, held.sample_rate)
     try:
         poses = locate_all(
-            localizer, shots if heard is None else heard.remove_broken_channels(shots), half_periods, superfast
+            localizer, shots if noise is None else noise.remove_broken_channels(shots), half_periods, superfast
         )
     except InputError as error:
         raise InputError(f"{samples}: {error}") from error
     return Localization(
-        samples, config.name, name, str(device) if device else None, None if heard is None else heard.remark,
+        samples, config.name, name, str(device) if device else None, None if noise is None else noise.remark,
         localizer.estimator, held.sample_rate, len(shots.recordings), poses,
     )  # fmt: skip
 
@@ -194,7 +194,7 @@ def localize(
 def make_localizer(
     rig: RigConfig, device: Device, estimator: str | None, quiet: str | Path | None, rate: float
 ) -> tuple[Localizer, BackgroundNoise | None]:
-    """A localizer for the rig's array, with the noise learned from quiet samples where they are given.
+    """Make a localizer for the rig's array, with the noise learned from background samples if they are given.
 
     Parameters
     ----------
@@ -225,12 +225,12 @@ def make_localizer(
 def locate_all(
     localizer: Localizer, shots: SampleRecordings, half_periods: int | None = None, segments: int | None = None
 ) -> tuple[LocatedShot, ...]:
-    """Poses in order, each with the last trusted one as prior; a shot that cannot be located keeps its place.
+    """Locate all shots in order, each with the last trusted pose as prior; one without a pose keeps its place.
 
     Parameters
     ----------
     localizer : Localizer
-    shots : Shots
+    shots : SampleRecordings
     half_periods : int, optional
         Use so many half-periods of each shot; all of them if not given.
     segments : int, optional
@@ -270,20 +270,20 @@ def locate_all(
 
 
 def _cut(recording: Recording, frequency: float, least: int, half_periods: int | None) -> Recording:
-    """The first `half_periods` of a recording, which must hold `least`."""
+    """Cut the first `half_periods` from a recording, which must hold `least`."""
     n = recording.field.shape[1]
-    wanted = round(least * recording.sample_rate / (2.0 * frequency))
-    if n + 1 < wanted or n < 2:
+    n_needed = round(least * recording.sample_rate / (2.0 * frequency))
+    if n + 1 < n_needed or n < 2:
         raise InputError(
             f"Each shot lasts {1e3 * recording.duration:.2f} ms ({n} samples at {recording.sample_rate:g} Hz); "
             f"{least} half-period{'s' * (least > 1)} of {frequency:g} Hz take{'' if least > 1 else 's'} "
             f"{500.0 * least / frequency:.2f} ms."
         )
-    return recording if half_periods is None else replace(recording, field=recording.field[:, : max(wanted, 2)])
+    return recording if half_periods is None else replace(recording, field=recording.field[:, : max(n_needed, 2)])
 
 
 def _doubt(pose: Pose) -> str:
     """Why a pose is not trusted; empty if it is."""
     sigma = 1e3 * float(np.sqrt(np.diag(pose.covariance)[:3].max()))
-    said = f"not trusted: R² {pose.r_squared:.3f}, flip margin {pose.flip_margin:.2f}, σ {sigma:.2g} mm"
-    return "" if pose.trusted else said
+    reason = f"not trusted: R² {pose.r_squared:.3f}, flip margin {pose.flip_margin:.2f}, σ {sigma:.2g} mm"
+    return "" if pose.trusted else reason

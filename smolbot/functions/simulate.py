@@ -55,7 +55,7 @@ COLUMNS = {
     "realtime_factor": ("realtime_factor",),
     "stop_reason": ("stop_reason",),
 }
-"""Columns of results.csv, and where each stands in a run's summary."""
+"""Columns of results.csv, and the key of each in a run's summary."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -233,7 +233,7 @@ def simulate(
     plant : {"full", "reduced"}
         The full tank, or motion alone with pose noise in place of signals: some hundred times as fast.
     jobs : int
-        Processes; 1 flies in this one, 0 stands for one per core. A script that starts more than one needs
+        Processes; 1 flies in this one, 0 means one per core. A script that starts more than one needs
         ``if __name__ == "__main__":``.
     scheduler : str, optional
         Address of a dask scheduler, instead of processes.

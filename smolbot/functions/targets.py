@@ -1,4 +1,4 @@
-"""What a name or a path that a person gives stands for: a rig with a robot, a device, a file to write."""
+"""Resolve a name or a path that a user gives: a rig with a robot, a device, a file to write."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def check_writable(path: Path) -> None:
 def find_target(
     target: str, robot: str | None, settings: dict[str, str] | None = None
 ) -> tuple[RigConfig, RobotConfig, tuple[float, float]]:
-    """Rig, robot and the place (x, y) in m where the robot is put down: under the middle, or a mission's start.
+    """Find rig, robot and its start position (x, y), in m: under the middle, or a mission's start.
 
     Parameters
     ----------

@@ -26,10 +26,10 @@ from smolbot.runs.optics.track_errors import compute_tracking_error
 from smolbot.runs.optics.video import Video, read_picture
 from smolbot.runs.optics.view import CLICK_SIGMA, View, check_points, find_view
 
-MAX_OFFSET_SIGMA = 0.05  # s: a video's beginning that is less sure is told: a tenth of a millimetre of a robot's way
+MAX_OFFSET_SIGMA = 0.05  # s: a less certain start of a video is reported: a tenth of a millimetre of a robot's way
 MIN_PIXELS_PER_MM = 9.0  # films of the tank are tracked well from 10 on; at 8 headings err by 13°, at 6 fits jump
 MAX_STILL_SHARE = 0.4  # of the frames: with half of them the median shows the robot, not the scene
-MAX_VIEW_SIGMA = 1e-4  # m: a camera that is less sure is told
+MAX_VIEW_SIGMA = 1e-4  # m: a less certain camera is reported
 
 
 @dataclass(frozen=True, repr=False)
@@ -42,7 +42,7 @@ class VideoTrack(Readable):
     robot : str
         Its name.
     height : float, in m
-        z at which it was looked for; `height_from` says where that is known from.
+        z at which it was searched; `height_from` states the source of that value.
     camera : tuple of str
         How the camera's place was found.
     view : View
@@ -130,7 +130,7 @@ def track(
     offset : float, in s, optional
         When the video began on the run's clock; by default by the best match.
     fps : float, in Hz, optional
-        Frames per second as recorded; by default as the file says.
+        Frames per second as recorded; by default as stated in the file.
     out : path, optional
         Folder for track.csv, track.json and track.png; none is made without it.
     progress : callable, optional
@@ -176,22 +176,22 @@ def track(
         view = find_view(corners, places, film.size, camera_height, pixel_sigma=CLICK_SIGMA)  # type: ignore[arg-type]
         camera = (f"four points, {view.rms:.2f} pixels rms",)
     empty = None if background is None else read_picture(Path(background), film.size)
-    seen = track_body(film, view, _body(config, mark), height, background=empty, progress=progress)
-    figures, warnings = _figures_of(seen, film, view, config, height, pictured=empty is not None)
+    result = track_body(film, view, _body(config, mark), height, background=empty, progress=progress)
+    figures, warnings = _figures_of(result, film, view, config, height, pictured=empty is not None)
     alignment = analysis = None
     if poses is not None:
-        alignment = align(seen, poses, offset)
-        analysis = analyse(seen, poses, alignment, plane_known=robot_height is not None)
-        seen = seen.shift(alignment.offset)
+        alignment = align(result, poses, offset)
+        analysis = analyse(result, poses, alignment, plane_known=robot_height is not None)
+        result = result.shift(alignment.offset)
         figures |= {"run": str(run), "offset_s": alignment.offset, "offset_sigma_s": alignment.sigma,
                     "correlation": alignment.correlation} | analysis.compute_figures()  # fmt: skip
         if alignment.sigma > MAX_OFFSET_SIGMA:
             warnings.append("when the video began is not sure: it shows too little but straight movement")
         path = None if poses.mission is None else poses.mission.path
-        error = None if path is None else compute_tracking_error(seen, path, poses)
+        error = None if path is None else compute_tracking_error(result, path, poses)
         figures |= {} if error is None else {"tracking_error_mm": error}
     found = VideoTrack(
-        film.path, config.name, height, height_from, camera, view, seen, figures, tuple(warnings), alignment, analysis
+        film.path, config.name, height, height_from, camera, view, result, figures, (*warnings,), alignment, analysis
     )
     if out is not None:
         name = film.path.name if run is None else Path(run).resolve().name
@@ -206,7 +206,7 @@ def _robot(name: str | None, poses: RunPoses | None) -> RobotConfig:
 
 
 def _body(config: RobotConfig, mark: str) -> Body:
-    """The housing as a box, and where its magnet lies."""
+    """Make the housing as a box with the position of its magnet."""
     sides = {"head": 1.0, "tail": -1.0, "none": 0.0, "auto": math.copysign(1.0, config.device.l0 - config.center[2])}
     if mark not in sides:
         raise InputError(f"--mark must be one of {', '.join(sides)}; got '{mark}'.")

@@ -176,7 +176,7 @@ def tune(
     rig : str, optional
         A rig to use instead of the mission's own.
     jobs : int
-        Processes; 1 flies in this one, 0 stands for one per core.
+        Processes; 1 flies in this one, 0 means one per core.
     scheduler : str, optional
         Address of a dask scheduler, instead of processes.
     out : path, optional

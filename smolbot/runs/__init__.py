@@ -1,4 +1,4 @@
-"""What a run leaves: its folder, record, summary, pictures and report."""
+"""Results of a run: its folder, record, summary, pictures and report."""
 
 from lazy_loader import attach_stub
 

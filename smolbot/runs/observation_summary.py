@@ -74,21 +74,21 @@ def compute_pose_rate(run: Run) -> dict[str, Any]:
     dict
         `pose_rate_hz`, and `gaps` with `count`, `shots` and `longest_s`.
     """
-    seen = [c.trusted is not None for c in run.cycles]
-    if not any(seen):
+    trusted = [c.trusted is not None for c in run.cycles]
+    if not any(trusted):
         return {"pose_rate_hz": 0.0, "gaps": {"count": 0, "shots": 0, "longest_s": 0.0}}
-    first = seen.index(True)
+    first = trusted.index(True)
     cycles = run.cycles[first:]
     times = [pose.time for pose in get_trusted_poses(cycles)]
-    lost = [i for i in range(first, len(seen)) if not seen[i]]
-    begun = [i for i in lost if seen[i - 1]]
+    lost = [i for i in range(first, len(trusted)) if not trusted[i]]
+    begun = [i for i in lost if trusted[i - 1]]
     watched = cycles[-1].shot.end - cycles[0].shot.start
     gaps = {
         "count": len(begun),
         "shots": len(lost),
         "longest_s": float(np.max(np.diff(times))) if lost and len(times) > 1 else 0.0,
     }
-    return {"pose_rate_hz": sum(seen) / watched, "gaps": gaps}
+    return {"pose_rate_hz": sum(trusted) / watched, "gaps": gaps}
 
 
 def compute_scatter(poses: list[Pose]) -> dict[str, Any]:
@@ -116,8 +116,8 @@ def compute_scatter(poses: list[Pose]) -> dict[str, Any]:
     }
     for name, values in (("sigma_mm", 1e3 * places), ("sigma_deg", np.degrees(turns))):
         deviations = values.std(axis=0, ddof=1)
-        whole = "distance" if name == "sigma_mm" else "angle"
-        out[name] = {**dict(zip("xyz", deviations.tolist(), strict=True)), whole: float(np.linalg.norm(deviations))}
+        norm = "distance" if name == "sigma_mm" else "angle"
+        out[name] = {**dict(zip("xyz", deviations.tolist(), strict=True)), norm: float(np.linalg.norm(deviations))}
     return out
 
 
@@ -138,13 +138,13 @@ def evaluate_observation(mission: Observation, run: Run, figures: dict[str, Any]
     list of str
         Every reason for a failure.
     """
-    wanted = mission.sections.verdict
+    limits = mission.sections.verdict
     reasons = [] if run.status == "completed" else [run.stop_reason or run.status]
     error, rate, sigma = (figures.get(key) for key in ("localization_error_mm", "pose_rate_hz", "sigma_mm"))
-    if wanted.mean_localization_mm is not None and error is not None and error["mean"] > wanted.mean_localization_mm:
-        reasons.append(f"mean localization error {error['mean']:.2f} mm exceeds {wanted.mean_localization_mm:g} mm")
-    if wanted.min_rate_hz is not None and rate is not None and rate < wanted.min_rate_hz:
-        reasons.append(f"{rate:.2f} trusted poses a second are fewer than {wanted.min_rate_hz:g}")
-    if wanted.max_sigma_mm is not None and sigma is not None and sigma["distance"] > wanted.max_sigma_mm:
-        reasons.append(f"sigma {sigma['distance']:.3f} mm exceeds {wanted.max_sigma_mm:g} mm")
+    if limits.mean_localization_mm is not None and error is not None and error["mean"] > limits.mean_localization_mm:
+        reasons.append(f"mean localization error {error['mean']:.2f} mm exceeds {limits.mean_localization_mm:g} mm")
+    if limits.min_rate_hz is not None and rate is not None and rate < limits.min_rate_hz:
+        reasons.append(f"{rate:.2f} trusted poses a second are fewer than {limits.min_rate_hz:g}")
+    if limits.max_sigma_mm is not None and sigma is not None and sigma["distance"] > limits.max_sigma_mm:
+        reasons.append(f"sigma {sigma['distance']:.3f} mm exceeds {limits.max_sigma_mm:g} mm")
     return ("passed" if not reasons else "failed"), reasons

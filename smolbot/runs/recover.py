@@ -123,8 +123,8 @@ def _rewrite(found: RecordedRun, target: Path) -> Path:
             last = max(last, message.time)
         if number % _FLUSH_EVERY == 0:
             file.flush()
-    told = pb.Recovered(lost_bytes=_count_lost_bytes(found), ended=found.end is not None)
-    file.append("/run/recovered", last, told.SerializeToString())
+    recovered = pb.Recovered(lost_bytes=_count_lost_bytes(found), ended=found.end is not None)
+    file.append("/run/recovered", last, recovered.SerializeToString())
     if found.end is None:
         file.append("/run/end", last, make_end_message(found.run()).SerializeToString())
     file.close()

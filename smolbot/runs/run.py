@@ -118,7 +118,7 @@ class Run(Readable):
     error: Exception | None = None
 
     def table(self) -> dict[str, np.ndarray[Any, Any]]:
-        """Every cycle as arrays: begin of its shot, mode, place as located and as tracked, computing time.
+        """Collect every cycle as arrays: begin of its shot, mode, located and tracked position, computing time.
 
         Returns
         -------

@@ -107,9 +107,9 @@ def evaluate_run(mission: Mission, run: Run, figures: dict[str, Any]) -> tuple[s
     list of str
         Every reason for a failure.
     """
-    wanted = mission.sections.verdict
+    limits = mission.sections.verdict
     reasons = [] if run.status == "completed" else [run.stop_reason or run.status]
-    for name, limit in (("tracking", wanted.mean_tracking_mm), ("localization", wanted.mean_localization_mm)):
+    for name, limit in (("tracking", limits.mean_tracking_mm), ("localization", limits.mean_localization_mm)):
         error = figures.get(f"{name}_error_mm")
         if limit is not None and error is not None and error["mean"] > limit:
             reasons.append(f"mean {name} error {error['mean']:.2f} mm exceeds {limit:g} mm")
@@ -206,8 +206,8 @@ def compute_errors(mission: MissionBase, moments: list[Moment]) -> dict[str, Any
         out["localization_scatter_mm"] = [float(v) for v in errors.std(axis=0) * 1e3]
         out["orientation_error_deg"] = compute_statistics(np.degrees(angles), "mean", "p95")
         out["flips"] = int(np.sum(angles > np.radians(90.0)))
-        believed = np.array([p.position - t.position for p, t in tracked if p is not None and t is not None])
-        out["tracked_error_mm"] = compute_statistics(np.linalg.norm(believed, axis=1) * 1e3, "mean", "std", "p95")
+        estimated = np.array([p.position - t.position for p, t in tracked if p is not None and t is not None])
+        out["tracked_error_mm"] = compute_statistics(np.linalg.norm(estimated, axis=1) * 1e3, "mean", "std", "p95")
     return out
 
 
@@ -249,10 +249,10 @@ def compute_orientation_error(pose: Pose, truth: Pose, along_cantilever: bool) -
 
 def _count_turns(run: Run) -> dict[str, Any]:
     """Count turns of the magnet, pauses and step-outs."""
-    turned = [[w for w in c.shot.windows if isinstance(w, Rotate)] for c in run.cycles]
+    rotations = [[w for w in c.shot.windows if isinstance(w, Rotate)] for c in run.cycles]
     return {
-        "turns": float(sum(w.turns for windows in turned for w in windows)),
-        "pauses": sum(bool(windows) for windows in turned),
+        "turns": float(sum(w.turns for windows in rotations for w in windows)),
+        "pauses": sum(bool(windows) for windows in rotations),
         "step_outs": sum(e.what in ("step-out", "gave up") for e in run.events),
     }
 

@@ -41,17 +41,17 @@ class BackgroundNoise:
 
         Parameters
         ----------
-        shots : Shots
+        shots : SampleRecordings
 
         Returns
         -------
-        Shots
+        SampleRecordings
         """
         if not self.broken.any():
             return shots
         note = f"left out: {_format_channels(self.broken)}, of no use in the quiet samples"
         recordings = tuple(replace(r, saturated=r.saturated | self.broken) for r in shots.recordings)
-        return SampleRecordings(recordings, tuple("; ".join(filter(None, [said, note])) for said in shots.notes))
+        return SampleRecordings(recordings, tuple("; ".join(filter(None, [known, note])) for known in shots.notes))
 
 
 def learn_background_noise(path: Path, rig: RigConfig, rate: float) -> BackgroundNoise:
@@ -68,7 +68,7 @@ def learn_background_noise(path: Path, rig: RigConfig, rate: float) -> Backgroun
 
     Returns
     -------
-    Quiet
+    BackgroundNoise
 
     Raises
     ------
@@ -92,20 +92,20 @@ def learn_background_noise(path: Path, rig: RigConfig, rate: float) -> Backgroun
         )
     used = [number for number, each in enumerate(bad) if not np.any(each & ~broken)]
     if not used:
-        said = "; ".join(f"shot {i}: {note}" for i, note in enumerate(shots.notes) if note)
-        raise InputError(f"{path}: no shot is quiet in all channels that work. {said[:300]}")
+        notes = "; ".join(f"shot {i}: {note}" for i, note in enumerate(shots.notes) if note)
+        raise InputError(f"{path}: no shot is quiet in all channels that work. {notes[:300]}")
     try:
         noise = NoiseModel.learn([shots.recordings[i] for i in used])
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    told = str(path)
+    source = str(path)
     if broken.any():
-        told += f"; {shots.notes[used[0]]}"
+        source += f"; {shots.notes[used[0]]}"
     if len(used) < len(bad):
-        told += f"; {len(bad) - len(used)} of {len(bad)} shots left out: " + "; ".join(
+        source += f"; {len(bad) - len(used)} of {len(bad)} shots left out: " + "; ".join(
             f"shot {i}, {shots.notes[i].removeprefix('left out: ')}" for i in range(len(bad)) if i not in used
         )
-    return BackgroundNoise(noise, broken, told)
+    return BackgroundNoise(noise, broken, source)
 
 
 def _format_channels(channels: BoolArray) -> str:

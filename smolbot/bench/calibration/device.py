@@ -154,7 +154,7 @@ class Calibration(Readable):
     evidence : float
         Difference of the BIC of the two damping models, positive for the one chosen; above 10 is decisive.
     stops_reached : bool
-        If not, theta_max is the believed one, or the largest amplitude seen if that is larger.
+        If not, theta_max is the assumed one, or the largest amplitude measured if that is larger.
     shots : int
     robot, rig : str
         Names of both, where they are known.
@@ -214,7 +214,7 @@ def calibrate(
         As assumed; moment, its direction and l0 are kept.
     height : float, in m
         Known z of the cantilever's rotation centre above the sensors.
-    plan : Plan, optional
+    plan : CalibrationPlan, optional
     hum : Hum, optional
         Mains lines expected in the room.
     progress : callable, optional
@@ -291,10 +291,10 @@ class _Calibrator:
         best: tuple[float, Recording, RingDownFit] | None = None
         for current in (0.3 * self.max_current, self.max_current):
             for direction in EXCITATION_DIRECTIONS:
-                heard = self.play(current * np.array(direction), self.device.frequency)
-                fit = self.measure_ring_down(heard, search=2.0 * self.plan.sweep_span)
+                recording = self.play(current * np.array(direction), self.device.frequency)
+                fit = self.measure_ring_down(recording, search=2.0 * self.plan.sweep_span)
                 if best is None or fit.signal_to_noise > best[0]:
-                    best = (fit.signal_to_noise, heard, fit)
+                    best = (fit.signal_to_noise, recording, fit)
             if best is not None and best[0] > MIN_SNR:
                 break
         if best is None or best[0] < MIN_SNR:
@@ -306,12 +306,12 @@ class _Calibrator:
                 signal_to_noise=level,
                 needed=MIN_SNR,
             )
-        _, heard, fit = best
+        _, recording, fit = best
         self.device = replace(self.device, frequency=fit.frequency, damping=fit.damping)
-        pose = self.locate(heard)
+        pose = self.locate(recording)
         self.position = np.array([*pose.position[:2], self.height])
         self.orientation = np.array(pose.orientation)
-        self.adopt_pose(self.fit(heard))
+        self.adopt_pose(self.fit(recording))
 
     def sweep_frequency(self) -> list[SweepPoint]:
         """Excite at a range of frequencies, and measure the frequency of the free oscillation after each."""
@@ -319,8 +319,8 @@ class _Calibrator:
         for offset in np.linspace(-self.plan.sweep_span, self.plan.sweep_span, self.plan.sweep_points):
             driven = self.assumed.frequency + float(offset)
             self.tell(f"driving at {driven:.2f} Hz")
-            heard = self.play(self.compute_mix() * self.compute_gentle_current(), driven)
-            fit = self.measure_ring_down(heard, search=2.0)
+            recording = self.play(self.compute_mix() * self.compute_gentle_current(), driven)
+            fit = self.measure_ring_down(recording, search=2.0)
             if fit.signal_to_noise > MIN_SNR:
                 points.append(SweepPoint(driven, fit.frequency, fit.frequency_std, fit.strength))
         if len(points) < 2:
@@ -331,17 +331,17 @@ class _Calibrator:
 
     def measure_damping(self) -> tuple[list[DeviceFit], float]:
         """Fit repeated shots with both damping models at the known height; keep the likelier model."""
-        heard = []
+        recordings = []
         for i in range(self.plan.repeats):
             self.tell(f"listening to the decay, {i + 1} of {self.plan.repeats}")
-            heard.append(self.play(self.compute_mix() * self.compute_gentle_current(), self.device.frequency))
-            self.adopt_pose(self.fit(heard[-1]))
+            recordings.append(self.play(self.compute_mix() * self.compute_gentle_current(), self.device.frequency))
+            self.adopt_pose(self.fit(recordings[-1]))
         fits: dict[DampingModel, list[DeviceFit]] = {}
         for model in DAMPING_MODELS:
             start = replace(
-                self.device, damping=self.measure_ring_down(heard[0], 1.0, model).damping, damping_model=model
+                self.device, damping=self.measure_ring_down(recordings[0], 1.0, model).damping, damping_model=model
             )
-            fits[model] = [self.fit(recording, start) for recording in heard]
+            fits[model] = [self.fit(recording, start) for recording in recordings]
         bic = {m: sum(f.n_data * float(np.log(f.sse / f.n_data)) for f in fits[m]) for m in DAMPING_MODELS}
         chosen = min(DAMPING_MODELS, key=bic.__getitem__)
         evidence = abs(bic["linear"] - bic["exponential"])  # as many parameters in either
@@ -391,11 +391,11 @@ class _Calibrator:
             RingDown(self.ring_down),
             Listen(half_periods, self.device.frequency),
         )
-        heard = self.rig.play(Shot(windows, "search", self.rig.now()))
+        recording = self.rig.play(Shot(windows, "search", self.rig.now()))
         self.shots += 1
-        if heard is None:
+        if recording is None:
             raise SignalLostError("The rig returned no recording for a shot that listens.")
-        return heard
+        return recording
 
     def measure_ring_down(self, recording: Recording, search: float, model: DampingModel | None = None) -> RingDownFit:
         from smolbot.localization.device.ringdown import measure_ring_down

@@ -62,7 +62,7 @@ def read_known_recordings(track: Path, samples: Path | None, rig: RigConfig) -> 
 
     Returns
     -------
-    list of Known
+    list of KnownRecording
 
     Raises
     ------
@@ -106,7 +106,7 @@ def record_on_stage(
 
     Returns
     -------
-    list of Known
+    list of KnownRecording
 
     Raises
     ------
@@ -126,23 +126,23 @@ def record_on_stage(
     box = rig.container
     stage = world.stage(rig, device, seed)
     track = plan_track(box.low, box.high + np.array([0.0, 0.0, box.wall_height]), count)
-    heard = [stage.record(p.position, np.array(p.orientation), HALF_PERIODS) for p in track]
+    recordings = [stage.record(p.position, np.array(p.orientation), HALF_PERIODS) for p in track]
     if save_to is not None:
-        _save(save_to, track, heard, rig)
-    return [KnownRecording(f"pose {i}", h, p) for i, (h, p) in enumerate(zip(heard, track, strict=True))]
+        _save(save_to, track, recordings, rig)
+    return [KnownRecording(f"pose {i}", h, p) for i, (h, p) in enumerate(zip(recordings, track, strict=True))]
 
 
-def _save(folder: Path, track: list[Pose], heard: list[Recording], rig: RigConfig) -> None:
+def _save(folder: Path, track: list[Pose], recordings: list[Recording], rig: RigConfig) -> None:
     """Write track and samples in the format of a lab's own files."""
     scale = rig.sections.sensors.volts_per_tesla
     with report_write_errors(f"--keep {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(
             folder / "samples.npz",
-            volts=np.stack([scale * rig.sensor_gains[:, None] * h.field for h in heard]),
-            sample_rate_hz=heard[0].sample_rate,
-            time_since_drive_ms=[1e3 * h.time_since_drive for h in heard],
-            clock_s=[h.clock for h in heard],
+            volts=np.stack([scale * rig.sensor_gains[:, None] * h.field for h in recordings]),
+            sample_rate_hz=recordings[0].sample_rate,
+            time_since_drive_ms=[1e3 * h.time_since_drive for h in recordings],
+            clock_s=[h.clock for h in recordings],
         )
     write_known_track(folder / "track.csv", track, ["samples.npz"] * len(track))
 
@@ -156,7 +156,7 @@ def select_ringing(
 
     Parameters
     ----------
-    shots : list of Known
+    shots : list of KnownRecording
     rig : RigConfig
     device : Device
         As assumed.
@@ -165,7 +165,7 @@ def select_ringing(
 
     Returns
     -------
-    used : list of Known
+    used : list of KnownRecording
     device : Device
         With the estimated frequency and damping.
     left_out : list of str
@@ -178,7 +178,7 @@ def select_ringing(
     """
     from smolbot.localization.device.ringdown import measure_ring_down
 
-    used, heard, left_out = [], [], []
+    used, amplitudes, left_out = [], [], []
     for shot in shots:
         try:
             rang = measure_ring_down(shot.recording, rig.sensors, device, hum=hum, search=SEARCH_SPAN)
@@ -189,12 +189,12 @@ def select_ringing(
             left_out.append(f"{shot.name}: left out: nothing rings (signal to noise {rang.signal_to_noise:.1f})")
             continue
         used.append(shot)
-        heard.append(rang)
+        amplitudes.append(rang)
     if len(used) < MIN_RECORDINGS:
         why = "".join(f"\n{line}" for line in left_out[:10])
         raise InputError(
             f"{len(used)} of {len(shots)} recordings can be used; at least {MIN_RECORDINGS} are needed.{why}"
         )
-    frequency, _ = compute_weighted_mean([(r.frequency, r.frequency_std) for r in heard])
-    damping, _ = compute_weighted_mean([(r.damping, r.damping_std) for r in heard])
+    frequency, _ = compute_weighted_mean([(r.frequency, r.frequency_std) for r in amplitudes])
+    damping, _ = compute_weighted_mean([(r.damping, r.damping_std) for r in amplitudes])
     return used, replace(device, frequency=frequency, damping=damping), left_out

@@ -102,7 +102,7 @@ class Checkup:
     sensors : tuple of SensorCheck
     coils : tuple of CoilCheck
         Empty if the rig cannot measure its own coils.
-    expected : Expected
+    expected : ExpectedNoise
     mains_frequency : float, in Hz
     manual_checks : tuple of str
         What only a person can verify.
@@ -180,8 +180,8 @@ def check_rig(
     elif usable.sum() < MIN_SENSORS:
         notes.append(f"Fewer than {MIN_SENSORS} sensors can be relied on: coils and relays were not checked.")
     else:
-        coils, heard = check_coils(rig, config, usable, expected.range, report)
-        for number, likeness in enumerate(heard):
+        coils, responses = check_coils(rig, config, usable, expected.range, report)
+        for number, likeness in enumerate(responses):
             gains[number] = likeness.gain
             if likeness.fault and usable[number]:
                 faults[number].append(likeness.fault)
@@ -204,12 +204,12 @@ def _record_noise(rig: Rig, duration: float, mains: float) -> list[Recording]:
         raise InputError(f"A check listens to nothing for at least {MIN_DURATION:g} s; got {duration:g} s.")
     count = max(math.ceil(duration / rig.limits.max_listen - 1e-9), 1)
     half_periods = max(round(2 * mains * min(duration / count, rig.limits.max_listen) - 0.5 + 1e-9), 1)
-    heard: list[Recording] = []
+    recordings: list[Recording] = []
     for _ in range(count):
         recording = rig.play(Shot((Listen(half_periods, mains),), "quiet", rig.now()))
         if recording is not None:
-            heard.append(recording)
-    return heard
+            recordings.append(recording)
+    return recordings
 
 
 def _predict_noise(config: RigConfig) -> ExpectedNoise:

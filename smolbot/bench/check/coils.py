@@ -45,9 +45,9 @@ class CoilCheck:
     unexplained : float
         Share of the field that its predicted pattern does not explain.
     closes : float or None, in s
-        Delay until the field appears after the relay is told to close; None if it never does.
+        Delay until the field appears after the command to close the relay; None if it never does.
     opens : float or None, in s
-        Delay until the field vanishes after the relay is told to open; None if it never does.
+        Delay until the field vanishes after the command to open the relay; None if it never does.
     rise : float or None, in s
         Measured time constant.
     time_constant : float, in s
@@ -91,7 +91,7 @@ def check_coils(
     Returns
     -------
     coils : tuple of CoilCheck
-    sensors : list of Likeness
+    sensors : list of ResponseMatch
         Response of each sensor to all coils, compared with its prediction.
     """
     prediction = predict_responses(config)

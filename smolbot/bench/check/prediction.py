@@ -48,7 +48,7 @@ def predict_responses(config: RigConfig) -> PredictedResponses:
 
     Returns
     -------
-    Prediction
+    PredictedResponses
     """
     sensors = config.sensors
     flat = config.flat_coils()

@@ -70,23 +70,23 @@ def match_responses(
 
     Returns
     -------
-    coils : list of Likeness
-    sensors : list of Likeness
+    coils : list of ResponseMatch
+    sensors : list of ResponseMatch
     """
     spread = np.zeros_like(predicted) if spread is None else spread
-    live, heard = usable.copy(), np.any(measured != 0.0, axis=1)
+    live, detected = usable.copy(), np.any(measured != 0.0, axis=1)
     found_coils: list[ResponseMatch] = []
     found_sensors: list[ResponseMatch] = []
     for _ in range(N_PASSES):
         found_coils = [
-            _check_coil(row, predicted, k, coils, live) if heard[k] else ResponseMatch(0.0, 1.0, "makes no field")
+            _check_coil(row, predicted, k, coils, live) if detected[k] else ResponseMatch(0.0, 1.0, "makes no field")
             for k, row in enumerate(measured)
         ]
-        sources = _predict_wired_responses(measured, predicted, live, heard)
-        power = np.maximum((predicted[heard] ** 2).sum(axis=0), 1e-300)
-        doubt = np.sqrt(((predicted[heard] * spread[heard]) ** 2).sum(axis=0)) / power
+        sources = _predict_wired_responses(measured, predicted, live, detected)
+        power = np.maximum((predicted[detected] ** 2).sum(axis=0), 1e-300)
+        doubt = np.sqrt(((predicted[detected] * spread[detected]) ** 2).sum(axis=0)) / power
         found_sensors = [
-            _check_sensor(measured[heard], sources[heard], s, SENSOR_GAIN_TOLERANCE + 2 * doubt[s])
+            _check_sensor(measured[detected], sources[detected], s, SENSOR_GAIN_TOLERANCE + 2 * doubt[s])
             for s in range(measured.shape[1])
         ]
         live = usable & np.array([not s.fault for s in found_sensors])
@@ -96,7 +96,7 @@ def match_responses(
 
 
 def compute_response_std(fields: FloatArray, gradients: FloatArray, axes: FloatArray) -> FloatArray:
-    """Compute the standard deviation of each response for the errors `PLACE` and `TILT_STD` of position and angle.
+    """Compute the standard deviation of each response for position and angle errors `POSITION_STD` and `TILT_STD`.
 
     Parameters
     ----------
@@ -142,26 +142,26 @@ def _check_coil(
     row: FloatArray, predicted: FloatArray, k: int, coils: tuple[str, ...], live: BoolArray
 ) -> ResponseMatch:
     fits = [_fit_robustly(row[live], pattern[live]) for pattern in predicted]
-    gain, left = fits[k]
+    gain, residual = fits[k]
     best = min(range(len(fits)), key=lambda j: fits[j][1])
-    if best != k and fits[best][1] < min(left, 2 * MAX_UNEXPLAINED):
+    if best != k and fits[best][1] < min(residual, 2 * MAX_UNEXPLAINED):
         way = "" if fits[best][0] > 0 else ", reversed"
-        return ResponseMatch(gain, left, f"this is the field of {coils[best]}{way}")
-    if gain < 0 and left < 2 * MAX_UNEXPLAINED:
-        return ResponseMatch(gain, left, "reversed")
-    if left > MAX_UNEXPLAINED:
-        return ResponseMatch(gain, left, "no coil of the rig file makes this field")
+        return ResponseMatch(gain, residual, f"this is the field of {coils[best]}{way}")
+    if gain < 0 and residual < 2 * MAX_UNEXPLAINED:
+        return ResponseMatch(gain, residual, "reversed")
+    if residual > MAX_UNEXPLAINED:
+        return ResponseMatch(gain, residual, "no coil of the rig file makes this field")
     if abs(gain - 1.0) > COIL_GAIN_TOLERANCE:
-        return ResponseMatch(gain, left, f"makes {gain:.2f} times its field")
-    return ResponseMatch(gain, left)
+        return ResponseMatch(gain, residual, f"makes {gain:.2f} times its field")
+    return ResponseMatch(gain, residual)
 
 
 def _predict_wired_responses(
-    measured: FloatArray, predicted: FloatArray, live: BoolArray, heard: BoolArray
+    measured: FloatArray, predicted: FloatArray, live: BoolArray, detected: BoolArray
 ) -> FloatArray:
     """Predict the response of each sensor to the coils as they are actually wired: (n_coils, n_sensors)."""
     found = np.zeros_like(predicted)
-    for k in np.flatnonzero(heard):
+    for k in np.flatnonzero(detected):
         fits = [_fit_robustly(measured[k, live], pattern[live]) for pattern in predicted]
         best = min(range(len(fits)), key=lambda j: fits[j][1])
         found[k] = fits[best][0] * predicted[best]
@@ -170,20 +170,20 @@ def _predict_wired_responses(
 
 def _check_sensor(measured: FloatArray, sources: FloatArray, s: int, tolerance: float) -> ResponseMatch:
     column = measured[:, s]
-    gain, left = _fit(column, sources[:, s])
+    gain, residual = _fit(column, sources[:, s])
     if len(column) == 0:
-        return ResponseMatch(gain, left)
+        return ResponseMatch(gain, residual)
     if np.linalg.norm(column) < MIN_RESPONSE * np.linalg.norm(sources[:, s]):
-        return ResponseMatch(gain, left, "hears no coil")
-    if gain < 0 and left < 2 * MAX_UNEXPLAINED:
-        return ResponseMatch(gain, left, "reversed")
+        return ResponseMatch(gain, residual, "hears no coil")
+    if gain < 0 and residual < 2 * MAX_UNEXPLAINED:
+        return ResponseMatch(gain, residual, "reversed")
     others = [(j, *_fit(column, sources[:, j])) for j in range(measured.shape[1]) if j != s]
-    if len(column) >= 4 and left > MAX_UNEXPLAINED and others:
+    if len(column) >= 4 and residual > MAX_UNEXPLAINED and others:
         j, other, rest = min(others, key=lambda entry: entry[2])
         if rest < MAX_UNEXPLAINED and abs(abs(other) - 1.0) < 2 * SENSOR_GAIN_TOLERANCE:
-            return ResponseMatch(gain, left, f"hears what sensor {j} should{', reversed' if other < 0 else ''}")
+            return ResponseMatch(gain, residual, f"hears what sensor {j} should{', reversed' if other < 0 else ''}")
     if abs(gain - 1.0) > tolerance:
-        return ResponseMatch(gain, left, f"says {gain:.2f} times the field")
-    if left > 2 * MAX_UNEXPLAINED:
-        return ResponseMatch(gain, left, "is not where or how the rig file says")
-    return ResponseMatch(gain, left)
+        return ResponseMatch(gain, residual, f"says {gain:.2f} times the field")
+    if residual > 2 * MAX_UNEXPLAINED:
+        return ResponseMatch(gain, residual, "is not where or how the rig file says")
+    return ResponseMatch(gain, residual)

@@ -49,7 +49,7 @@ class SensorNoise:
         Noise density above 1/f noise, corrected for the sensors' low pass.
     mains : ndarray, in T
         Peak at the mains frequency.
-    harmonics : ndarray, shape (n_sensors, ORDERS - 1), in T
+    harmonics : ndarray, shape (n_sensors, N_HARMONICS - 1), in T
         Peaks at its multiples, from twice on.
     mains_frequency : float, in Hz
     span : ndarray, in T
@@ -82,7 +82,7 @@ def measure_sensor_noise(recordings: Sequence[Recording], mains: float, bandwidt
 
     Returns
     -------
-    Hum
+    SensorNoise
 
     Raises
     ------
@@ -99,15 +99,15 @@ def measure_sensor_noise(recordings: Sequence[Recording], mains: float, bandwidt
     pieces = [_average_blocks(np.asarray(r.field), size) for r in recordings]
     frequency = _find_mains_frequency(pieces, rate, mains)
     fits = [_fit_lines(piece, rate, frequency) for piece in pieces]
-    left = [residual for _, residual in fits]
+    noise = [residual for _, residual in fits]
     peaks = np.sqrt(np.mean([np.abs(phasors) ** 2 for phasors, _ in fits], axis=0)).T
     top = min(bandwidth, 0.2 * rate)
-    slow, _ = _compute_noise_density(left, rate, shortest, SLOW_BAND, np.mean)
-    floor, grid = _compute_noise_density(left, rate, FLOOR_SEGMENT, (FLOOR_BAND[0] * top, FLOOR_BAND[1] * top), None)
+    slow, _ = _compute_noise_density(noise, rate, shortest, SLOW_BAND, np.mean)
+    floor, grid = _compute_noise_density(noise, rate, FLOOR_SEGMENT, (FLOOR_BAND[0] * top, FLOOR_BAND[1] * top), None)
     gain = np.sqrt(np.mean(1.0 / (1.0 + (grid / bandwidth) ** 2))) if np.isfinite(bandwidth) else 1.0
     return SensorNoise(
         offset=np.mean([np.asarray(r.field).mean(axis=1) for r in recordings], axis=0),
-        rms=np.sqrt(np.mean([np.mean(piece**2, axis=1) for piece in left], axis=0)),
+        rms=np.sqrt(np.mean([np.mean(piece**2, axis=1) for piece in noise], axis=0)),
         slow=slow,
         floor=floor / gain,
         mains=peaks[:, 0],

@@ -127,7 +127,7 @@ class Card:
         for stream in (
             self._reader, self._output_writer, self._line_writer, self._zero_output_writer, self._zero_line_writer,
         ):  # fmt: skip
-            stream.verify_array_shape = False  # it asks the server, with every call
+            stream.verify_array_shape = False  # it queries the server with every call
         self._set_clock("outputs", 2)
         self.outputs.triggers.start_trigger.cfg_dig_edge_start_trig(f"/{name}/ai/StartTrigger")
         self._set_clock("lines", 2)
@@ -140,7 +140,7 @@ class Card:
         Parameters
         ----------
         waveform : Waveform
-        guard : Guarding
+        guard : OutputGuard
 
         Returns
         -------
@@ -180,9 +180,9 @@ class Card:
         before = time.monotonic()
         self.inputs.start()
         began = 0.5 * (before + time.monotonic())
-        heard = np.zeros((len(self._section.inputs.channels), waveform.samples))
+        volts = np.zeros((len(self._section.inputs.channels), waveform.samples))
         for first, end in self._split_reads(waveform):
-            self._read(heard, first, end)
+            self._read(volts, first, end)
             if driven and end >= waveform.settled:
                 self.outputs.stop()
                 self.lines.stop()
@@ -193,7 +193,7 @@ class Card:
         if waveform.listen is None:
             return None, began
         first, count = waveform.listen
-        return heard[:, first : first + count], began
+        return volts[:, first : first + count], began
 
     def _split_reads(self, waveform: Waveform) -> Iterator[tuple[int, int]]:
         """Split the samples into spans that are read one after the other.
@@ -208,14 +208,14 @@ class Card:
             edges = [begin + round(k * (end - begin) / count) for k in range(count + 1)]
             yield from itertools.pairwise(edges)
 
-    def _read(self, heard: FloatArray, first: int, end: int) -> None:
+    def _read(self, volts: FloatArray, first: int, end: int) -> None:
         if self._stopped.is_set():
             raise RigError("Stopped during a shot; every output is at zero.")
-        piece = np.zeros((len(heard), end - first))
+        piece = np.zeros((len(volts), end - first))
         got = self._reader.read_many_sample(piece, end - first, timeout=READ_TIMEOUT + (end - first) / self._rate)
         if got != end - first:
             raise LostWindow(f"{got} of {end - first} samples came")
-        heard[:, first:end] = piece
+        volts[:, first:end] = piece
 
     def test_inputs(self) -> None:
         """Record for a moment with nothing driven, to test the inputs.

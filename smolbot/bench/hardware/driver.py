@@ -168,8 +168,8 @@ class Driver:
         if rpc is not None:
             where = f"the device server at {self.server}"
             name = str(getattr(rpc, "name", rpc))
-            said = {"DEADLINE_EXCEEDED": f"{where} did not answer in time", "UNAVAILABLE": f"{where} is gone"}
-            return f"{said.get(name, first.rstrip('.'))} ({name})."
+            causes = {"DEADLINE_EXCEEDED": f"{where} did not answer in time", "UNAVAILABLE": f"{where} is gone"}
+            return f"{causes.get(name, first.rstrip('.'))} ({name})."
         return f"{first.rstrip('.')}."
 
     def suggest_remedy(self, error: BaseException) -> str:

@@ -64,7 +64,7 @@ class Guard:
                 wired = ", ".join(f"{name}/{line}" for line in section.input_lines)
                 self._inputs.di_channels.add_di_chan(wired, line_grouping=LineGrouping.CHAN_PER_LINE)
                 self._reader = DigitalMultiChannelReader(self._inputs.in_stream)
-                self._reader.verify_array_shape = False  # it asks the server, with every read
+                self._reader.verify_array_shape = False  # it queries the server with every read
                 self._read_lines()
             self._watchdog = self._driver.make_watchdog(name, section.watchdog.timeout)
             states = [DOExpirationState(f"{name}/{line}", Level.LOW) for line in section.clocked_lines]

@@ -23,7 +23,7 @@ def make_relay_probe(
 ) -> tuple[Waveform, float, float]:
     """Build the waveform of a relay probe.
 
-    The output holds its level from the moment the relay is told to close until well after it should have opened,
+    The output holds its level from the command to close the relay until well after it should have opened,
     so that the relay alone starts and ends the field. Until the contacts close, the amplifier has no load and may
     be at its rail, which is why a probe uses only some ten mA.
 
@@ -40,9 +40,9 @@ def make_relay_probe(
     -------
     waveform : Waveform
     on : float, in s
-        When the relay is told to close, from the first sample on.
+        When the relay is switched to close, from the first sample on.
     off : float, in s
-        When it is told to open.
+        When it is switched to open.
 
     Raises
     ------

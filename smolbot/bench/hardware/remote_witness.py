@@ -85,19 +85,19 @@ class RemoteWitness:
         RigError
             If the twin is gone.
         """
-        wanted = time + self._epoch
+        requested = time + self._epoch
         with self._news:
-            self._news.wait_for(lambda: self._gone or self._get_latest_time() >= wanted, ROW_TIMEOUT)
-            if self._count == 0 or self._get_latest_time() < wanted:
+            self._news.wait_for(lambda: self._gone or self._get_latest_time() >= requested, ROW_TIMEOUT)
+            if self._count == 0 or self._get_latest_time() < requested:
                 if self._gone:
                     raise RigError(f"The twin at {self._address} no longer tells the truth: the connection ended.")
                 raise InputError(f"The twin has not played {time:.3f} s yet.")
             times = self._rows[: self._count, 0]
-            if wanted < times[0]:
+            if requested < times[0]:
                 raise InputError(f"The truth is known from {times[0] - self._epoch:.3f} s on; got {time:.3f} s.")
-            after = max(int(np.searchsorted(times, wanted)), 1)
+            after = max(int(np.searchsorted(times, requested)), 1)
             low, high = self._rows[after - 1].copy(), self._rows[min(after, self._count - 1)].copy()
-        return _interpolate(low, high, wanted, time)
+        return _interpolate(low, high, requested, time)
 
     def _get_latest_time(self) -> float:
         return float(self._rows[self._count - 1, 0]) if self._count else -np.inf

@@ -209,10 +209,10 @@ class BenchRig(Closeable):
             )
             self._halt(reason)
             raise self._latched or reason from error
-        heard = self._make_recording(Shot((Rest(BASELINE_DURATION),)), waveform, volts, began - self._epoch)
-        assert heard is not None
+        recording = self._make_recording(Shot((Rest(BASELINE_DURATION),)), waveform, volts, began - self._epoch)
+        assert recording is not None
         relays = self._section.relays
-        return Probe(heard, on, off, relays.closing, relays.opening)
+        return Probe(recording, on, off, relays.closing, relays.opening)
 
     def excitation_field(self, position: FloatArray) -> FloatArray:
         """Compute the nominal field of each excitation coil.
@@ -340,7 +340,7 @@ class BenchRig(Closeable):
         if self._magnet is not None:
             self._magnet.stop()
         if self._supply is not None:
-            with contextlib.suppress(RigError):  # nothing is driven any more, whether it hears this or not
+            with contextlib.suppress(RigError):  # nothing is driven any more, whether it receives this or not
                 self._supply.switch_off()
 
     def _refuse_if_stopped(self) -> None:

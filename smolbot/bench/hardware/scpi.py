@@ -181,7 +181,7 @@ class ScpiSocket:
                 )
             except (pyvisa.errors.Error, OSError):
                 raise
-            except Exception as error:  # pyvisa-py says "could not connect" by the base of all exceptions
+            except Exception as error:  # pyvisa-py raises the base class if it cannot connect
                 raise OSError(0, str(error)) from error
             assert isinstance(opened, MessageBasedResource)
             self._resource = opened

@@ -76,7 +76,7 @@ class Supply:
 
     Attributes
     ----------
-    identity : Identity
+    identity : SupplyIdentity
 
     Raises
     ------
@@ -88,7 +88,7 @@ class Supply:
         self._section = section
         self._name = f"power supply at {section.where}"
         self._scpi = ScpiSocket(self._name, section.address, section.timeout)
-        self._times_off = 0  # how often it was told to be off
+        self._times_off = 0  # number of commands to switch off
         self._set_after = -1  # how often when it was last configured
         self._closed = False
         try:
@@ -110,10 +110,10 @@ class Supply:
             If a setting is refused, or reads back as another.
         """
         offs = self._times_off
-        wanted = {channel.channel: channel for channel in self._section.channels}
+        channels = {channel.channel: channel for channel in self._section.channels}
         for number in range(1, self.channel_count + 1):
-            if number in wanted:
-                self._set_channel(wanted[number])
+            if number in channels:
+                self._set_channel(channels[number])
             else:
                 self._command_channel(number, "OUTP:SEL 0", action=f"leave channel {number} off")
         faults = self.find_differences()
@@ -177,11 +177,11 @@ class Supply:
         list of str
             A sentence for each difference; empty if there is none.
         """
-        wanted = {channel.channel: channel for channel in self._section.channels}
+        expected = {channel.channel: channel for channel in self._section.channels}
         return [
             fault
             for state in self.read_back()
-            for fault in self._find_channel_differences(wanted[state.channel], state)
+            for fault in self._find_channel_differences(expected[state.channel], state)
         ]
 
     def close(self) -> None:

@@ -68,7 +68,7 @@ class _Drive:
 class WaveformCompiler:
     """Converts electrical shots to waveforms for one bench.
 
-    A relay is told to close early enough to have settled when its load's window begins: before the shot or, if
+    A relay is switched early enough to have settled when its load's window begins: before the shot or, if
     another load used the same output until then, as soon as the relay of that load has opened. The output stays at
     zero meanwhile. At most the time in which one relay opens and another closes is lost from the window, which
     keeps its place.
@@ -166,11 +166,11 @@ class WaveformCompiler:
         owner: dict[int, int] = {}
         for drive in drives:
             output = self._output[drive.load]
-            told = lead + drive.start - self._close
+            switched = lead + drive.start - self._close
             if owner.get(output, drive.load) != drive.load:
-                told = max(told, free[output])
-            ready = self._find_sample(max(told + self._close, lead + drive.start))
-            first, end = self._find_sample(max(told, 0.0)), self._find_sample(lead + drive.end)
+                switched = max(switched, free[output])
+            ready = self._find_sample(max(switched + self._close, lead + drive.start))
+            first, end = self._find_sample(max(switched, 0.0)), self._find_sample(lead + drive.end)
             lines[first:end] |= np.uint32(1 << self._relay[drive.load] | 1 << self._enable)
             volts[output, ready:end] = self._compute_wave(drive, lead, ready, end)
             owner[output], free[output] = drive.load, lead + drive.end + self._open

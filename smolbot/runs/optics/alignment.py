@@ -122,8 +122,8 @@ def _compare_displacements(track: OpticalTrack, run: RunPoses, offset: float) ->
     if min(moved) < n * MIN_MOVEMENT**2:
         return 0.0, -math.inf
     correlation = float(np.sum(a * b)) / math.sqrt(moved[0] * moved[1])
-    left = float(np.sum((a - b) ** 2)) / (moved[0] + moved[1])
-    return correlation, -n * math.log(max(left, 1e-12)) - 0.5 * apart
+    mismatch = float(np.sum((a - b) ** 2)) / (moved[0] + moved[1])
+    return correlation, -n * math.log(max(mismatch, 1e-12)) - 0.5 * apart
 
 
 def _refine(track: OpticalTrack, run: RunPoses, offset: float) -> float:
@@ -160,6 +160,6 @@ def _compute_sigma(track: OpticalTrack, run: RunPoses, offset: float) -> float:
     return 1.0 / math.sqrt(max(information, 1e-12))
 
 
-def _compute_scatter(left: FloatArray) -> float:
+def _compute_scatter(residuals: FloatArray) -> float:
     """Compute the variance per axis about the mean, in m²."""
-    return max(float(np.mean((left - left.mean(axis=0)) ** 2)), 1e-12)
+    return max(float(np.mean((residuals - residuals.mean(axis=0)) ** 2)), 1e-12)

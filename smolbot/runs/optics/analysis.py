@@ -112,15 +112,15 @@ def analyse(track: OpticalTrack, run: RunPoses, alignment: Alignment, *, plane_k
     InputError
         If no pose is left.
     """
-    seen = track.shift(alignment.offset)
-    places, headings, known = seen.interpolate(run.times)
+    shifted = track.shift(alignment.offset)
+    places, headings, known = shifted.interpolate(run.times)
     if not known.any():
         raise InputError("No pose of the run lies between two frames that show the robot.")
     poses = run.positions[known]
-    turned = run.headings[known]
-    near = headings[known] + np.angle(np.exp(1j * (turned - headings[known])))
+    headings_of_run = run.headings[known]
+    near = headings[known] + np.angle(np.exp(1j * (headings_of_run - headings[known])))
     return PathAnalysis(
-        run.times[known], poses, places[known], near, headings[known], _compute_path_distance(poses, seen.positions),
+        run.times[known], poses, places[known], near, headings[known], _compute_path_distance(poses, shifted.positions),
         plane_known, run.tracked[known],
     )  # fmt: skip
 

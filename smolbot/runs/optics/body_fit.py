@@ -22,7 +22,7 @@ SEARCH_DISTANCES = (0.9e-3, 0.9e-3, 0.6e-3, 0.6e-3, *[0.4e-3] * 8)
 PARAMETER_SCALE = np.array([1e-3, 1e-3, 1.0])  # of a change in x, y (m) and heading (rad)
 CONVERGED = (2e-6, 2e-4)  # m and rad
 
-MAX_EDGE_DISTANCE = 0.2e-3  # m: a step that lies this near to the hull bears it out
+MAX_EDGE_DISTANCE = 0.2e-3  # m: a brightness step this near to the hull supports the fit
 MIN_SHARPNESS = 0.08  # of the body's contrast, in a pixel: what ends more softly is a shadow
 EDGE_SPAN = 4  # samples on either side that a step is made out from
 SAMPLE_STEP = 0.5  # pixels between two samples of a profile
@@ -147,15 +147,15 @@ def fit_outline(
         jacobian = _compute_jacobian(view, np.array([x, y, height]))
         arm = np.column_stack([-(places[:, 1] - y), places[:, 0] - x])
         slopes = np.column_stack([normals @ jacobian, np.sum((arm @ jacobian.T) * normals, axis=1)])
-        change, left = _solve_robustly(slopes[found], at[found], MAX_EDGE_DISTANCE * per_metre / 2)
+        change, residuals = _solve_robustly(slopes[found], at[found], MAX_EDGE_DISTANCE * per_metre / 2)
         x, y, heading = x + change[0], y + change[1], heading + change[2]
         settled = max(abs(change[0]), abs(change[1])) < CONVERGED[0] and abs(change[2]) < CONVERGED[1]
-        close = np.abs(left) < MAX_EDGE_DISTANCE * per_metre
+        close = np.abs(residuals) < MAX_EDGE_DISTANCE * per_metre
         share = float(np.count_nonzero(close)) / len(points)
         if np.count_nonzero(close) < 8:
             return None
         sharpness = float(np.median(steep[found][close]))
-        rms = float(np.sqrt(np.mean(left[close] ** 2))) / per_metre
+        rms = float(np.sqrt(np.mean(residuals[close] ** 2))) / per_metre
         borne = slopes[found][close] * PARAMETER_SCALE
         squares = borne.T @ borne
         if np.linalg.cond(squares) > 1e6:  # edges of one direction alone
@@ -227,7 +227,7 @@ def compute_mark_position(
         Pixel (u, v) of the first element of `grey`.
     view : View
     body : Body
-    fit : Fit
+    fit : OutlineFit
     height : float, in m
         z of the body's middle.
 
@@ -321,17 +321,17 @@ def _find_edges(
     return found, place, steep
 
 
-def _solve_robustly(slopes: FloatArray, wanted: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
+def _solve_robustly(slopes: FloatArray, target: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
     """Solve ``slopes @ change = wanted`` with biweights; return the change and the residuals."""
-    weights = np.ones(len(wanted))
+    weights = np.ones(len(target))
     change = np.zeros(3)
     for _ in range(6):
         a = slopes * PARAMETER_SCALE * weights[:, None]
-        change = PARAMETER_SCALE * np.linalg.lstsq(a, weights * wanted, rcond=None)[0]
-        left = wanted - slopes @ change
-        spread = max(1.5 * float(np.median(np.abs(left))), 0.3, 0.3 * width)
-        weights = np.maximum(1.0 - (left / (4.7 * spread)) ** 2, 0.0)
-    return change, wanted - slopes @ change
+        change = PARAMETER_SCALE * np.linalg.lstsq(a, weights * target, rcond=None)[0]
+        residuals = target - slopes @ change
+        spread = max(1.5 * float(np.median(np.abs(residuals))), 0.3, 0.3 * width)
+        weights = np.maximum(1.0 - (residuals / (4.7 * spread)) ** 2, 0.0)
+    return change, target - slopes @ change
 
 
 def _compute_jacobian(view: View, point: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ from smolbot.runs.optics.video import Video
 from smolbot.runs.optics.view import View
 
 MIN_OUTLINE_SHARE = 0.7
-"""Share of the outline that must be seen; with less, the body counts as hidden in that frame."""
+"""Share of the outline that must be detected; with less, the body counts as hidden in that frame."""
 
 SEARCH_MARGIN = 3e-3  # m around the last place that are looked at first
 MAX_CANDIDATES = 4  # blobs that are tried where the body is not near its last place
@@ -28,7 +28,7 @@ MIN_DIFFERENCE = 6.0  # grey levels, likewise
 MIN_COLOR_DISTANCE = 2.0  # standard deviations of noise and uneven light, likewise
 MIN_MARK_OFFSET = 0.05  # of half lengths: a mark less far from the middle tells head from tail no more
 CLEAR_MARK_OFFSET = 0.25  # of half lengths: a mark so far on the other side tells by itself
-MAX_HEADING_GAP = 0.25  # s: over longer ones heading is not carried on
+MAX_HEADING_GAP = 0.25  # s: over longer ones heading is not continued
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def track_body(
         If the body is in no frame.
     """
     empty = (video.background if background is None else background).astype(np.float32)
-    seen: list[_Detection] = []
+    detections: list[_Detection] = []
     largest = 0.0
     last: _Detection | None = None
     finder = _Finder(empty, view, body, height)
@@ -84,10 +84,10 @@ def track_body(
             largest = max(largest, area)
         if fit is not None:
             last = _Detection(number, fit, finder.measure_mark(frame, fit))
-            seen.append(last)
+            detections.append(last)
         if progress is not None and number % 25 == 0:
             progress(number, video.frames)
-    if not seen:
+    if not detections:
         wanted = 4e6 * body.half[0] * body.half[1]
         what = (
             f"the largest thing that differs from the background covers {1e6 * largest:.1f} mm²"
@@ -99,7 +99,7 @@ def track_body(
             f"{2e3 * body.half[0]:.1f} x {2e3 * body.half[1]:.1f} mm ({wanted:.1f} mm²) at z = {1e3 * height:.1f} "
             f"mm; {what}."
         )
-    return _build_track(seen, video, view, body, height)
+    return _build_track(detections, video, view, body, height)
 
 
 class _Finder:
@@ -224,12 +224,12 @@ def _cut_to_clearest(blob: Any, difference: Any, area: float) -> Any:
     return blob & (difference >= np.partition(values, len(values) - int(area))[len(values) - int(area)])
 
 
-def _build_track(seen: list[_Detection], video: Video, view: View, body: Body, height: float) -> OpticalTrack:
+def _build_track(detections: list[_Detection], video: Video, view: View, body: Body, height: float) -> OpticalTrack:
     """Build the track; the mark distinguishes head and tail, over all frames between two gaps at once."""
-    frames = np.array([s.frame for s in seen])
-    middles = np.array([[s.fit.x, s.fit.y] for s in seen])
-    raw = np.array([s.fit.heading for s in seen])
-    marks = body.mark * np.array([s.mark for s in seen])
+    frames = np.array([s.frame for s in detections])
+    middles = np.array([[s.fit.x, s.fit.y] for s in detections])
+    raw = np.array([s.fit.heading for s in detections])
+    marks = body.mark * np.array([s.mark for s in detections])
     headings = raw.copy()
     breaks = [0, *(np.nonzero(np.diff(frames) > MAX_HEADING_GAP * video.fps)[0] + 1), len(frames)]
     unsure = 0
@@ -254,8 +254,8 @@ def _build_track(seen: list[_Detection], video: Video, view: View, body: Body, h
         times=frames / video.fps,
         positions=np.column_stack([place, np.full(len(place), height)]),
         headings=headings,
-        sigmas=np.array([s.fit.sigma for s in seen]),
-        shares=np.array([s.fit.share for s in seen]),
+        sigmas=np.array([s.fit.sigma for s in detections]),
+        shares=np.array([s.fit.share for s in detections]),
         total=video.frames,
         head_unsure=unsure,
         view_sigma=view.compute_uncertainty(middle, height),

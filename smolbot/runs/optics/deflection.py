@@ -71,7 +71,7 @@ def follow_swing(clip: Video) -> ObservedSwing:
 
     Returns
     -------
-    Swing
+    ObservedSwing
 
     Raises
     ------
@@ -170,9 +170,9 @@ def _fit_circle(points: FloatArray) -> tuple[FloatArray, float, float]:
     x, y, c = np.linalg.lstsq(a, np.sum(local**2, axis=1), rcond=None)[0]
     start = [x, y, math.sqrt(max(c + x * x + y * y, 1.0))]
     found = least_squares(lambda p: np.hypot(local[:, 0] - p[0], local[:, 1] - p[1]) - p[2], start, loss="soft_l1")
-    left = np.hypot(local[:, 0] - found.x[0], local[:, 1] - found.x[1]) - found.x[2]
+    residuals = np.hypot(local[:, 0] - found.x[0], local[:, 1] - found.x[1]) - found.x[2]
     information = found.jac.T @ found.jac
     if np.linalg.cond(information) > 1e14:
         return middle, math.inf, math.inf
-    covariance = float(np.mean(left**2)) * np.linalg.inv(information)
+    covariance = float(np.mean(residuals**2)) * np.linalg.inv(information)
     return middle + found.x[:2], float(found.x[2]), math.sqrt(float(covariance[2, 2]))

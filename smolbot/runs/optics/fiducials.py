@@ -40,8 +40,8 @@ from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 from smolbot.runs.optics.view import View, find_view
 
-MIN_MARKERS = 2  # markers: one alone says too little of how the camera is tilted
-MAX_RESIDUAL = 0.5e-3  # m: markers that fit no better do not lie where the file says
+MIN_MARKERS = 2  # markers: one alone does not determine the tilt of the camera
+MAX_RESIDUAL = 0.5e-3  # m: markers with larger residuals are not where the file states
 DICTIONARIES = [f"{n}x{n}_{m}" for n in (4, 5, 6, 7) for m in (50, 100, 250, 1000)] + ["apriltag_36h11"]
 
 
@@ -163,7 +163,7 @@ def find_view_by_markers(picture: Any, file: FiducialsFile, camera_height: float
 
     Returns
     -------
-    Found
+    MarkerView
 
     Raises
     ------
@@ -171,20 +171,20 @@ def find_view_by_markers(picture: Any, file: FiducialsFile, camera_height: float
         If too few markers are detected, or they do not lie where the file states.
     """
     section = file.fiducials
-    seen = _detect(picture, section.dictionary)
-    wanted = {m.id: m for m in section.markers}
-    here = [i for i in wanted if i in seen]
-    missing = tuple(i for i in wanted if i not in seen)
+    detected = _detect(picture, section.dictionary)
+    markers = {m.id: m for m in section.markers}
+    here = [i for i in markers if i in detected]
+    missing = tuple(i for i in markers if i not in detected)
     if len(here) < MIN_MARKERS:
-        others = sorted(set(seen) - set(wanted))
+        others = sorted(set(detected) - set(markers))
         also = f", but {', '.join(map(str, others))} that the file does not name" if others else ""
         raise InputError(
-            f"found {len(here)} of {len(wanted)} markers (ArUco {section.dictionary}; wanted {_format_ids(wanted)})"
+            f"found {len(here)} of {len(markers)} markers (ArUco {section.dictionary}; wanted {_format_ids(markers)})"
             f"{also}. {MIN_MARKERS} or more are needed: "
             "are they in the picture, sharp, with a white border, and of that dictionary?"
         )
-    pixels = np.vstack([seen[i] for i in here])
-    points = np.vstack([compute_corners(section, wanted[i]) for i in here])
+    pixels = np.vstack([detected[i] for i in here])
+    points = np.vstack([compute_corners(section, markers[i]) for i in here])
     height = camera_height
     if height is None and file.camera.height_mm is not None:
         height = 1e-3 * file.camera.height_mm

@@ -66,10 +66,10 @@ def read_run_poses(folder: str | Path) -> RunPoses:
         If there is no record of a run, or it holds no trusted pose.
     """
     record = read_run(folder)
-    heard = [m.cycle for m in record.moments if m.cycle.trusted is not None]
-    if not heard:
+    cycles = [m.cycle for m in record.moments if m.cycle.trusted is not None]
+    if not cycles:
         raise InputError(f"{record.path}: holds no trusted pose to compare with.")
-    poses = get_trusted_poses(heard)
+    poses = get_trusted_poses(cycles)
     begun = {m.cycle.shot.start for m in record.trace().following}
     nowhere = np.full(3, np.nan)
     mission = record.mission()
@@ -77,8 +77,8 @@ def read_run_poses(folder: str | Path) -> RunPoses:
         folder=record.folder,
         times=np.array([pose.time for pose in poses]),
         positions=np.array([pose.position for pose in poses]),
-        tracked=np.array([nowhere if c.tracked is None else c.tracked.position for c in heard]),
+        tracked=np.array([nowhere if c.tracked is None else c.tracked.position for c in cycles]),
         axes=np.array([pose.body_axis("z") for pose in poses]),
-        following=np.array([cycle.shot.start in begun for cycle in heard]),
+        following=np.array([cycle.shot.start in begun for cycle in cycles]),
         mission=mission,
     )

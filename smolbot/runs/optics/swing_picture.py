@@ -20,7 +20,7 @@ def draw_swing(swing: ObservedSwing, ringing: Ringing, path: Path, *, title: str
 
     Parameters
     ----------
-    swing : Swing
+    swing : ObservedSwing
     ringing : Ringing
     path : Path
         File to write.

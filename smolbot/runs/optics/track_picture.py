@@ -90,8 +90,8 @@ def _draw_scene(
 def _draw_arrows(axes: Axes, track: OpticalTrack) -> None:
     """Draw headings at equal distances along the track."""
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track.positions[:, :2], axis=0), axis=1))])
-    wanted = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], ARROWS)))
-    at = wanted[wanted < len(way)]
+    chosen = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], ARROWS)))
+    at = chosen[chosen < len(way)]
     place, heading = 1e3 * track.positions[at], track.headings[at]
     axes.quiver(place[:, 0], place[:, 1], np.cos(heading), np.sin(heading), color=SEEN, width=0.0045, scale=22,
                 headwidth=4.5, zorder=5)  # fmt: skip

@@ -17,7 +17,7 @@ Image = Any
 N_BACKGROUND_FRAMES = 25
 """Frames, evenly spread, of which the median is the background."""
 
-MAX_FPS = 1e6  # frames per second: what says more has no frame rate
+MAX_FPS = 1e6  # frames per second: a file that states more has no valid frame rate
 MAX_MISSING_FRAMES = 2  # frames that a container may promise and not hold
 
 
@@ -57,16 +57,16 @@ class Video:
         self.path = path
         self._cv2 = _import_opencv()
         capture = self._open()
-        told = float(capture.get(self._cv2.CAP_PROP_FPS))
+        stated_fps = float(capture.get(self._cv2.CAP_PROP_FPS))
         promised = capture.get(self._cv2.CAP_PROP_FRAME_COUNT)
         self.size = (
             int(capture.get(self._cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(self._cv2.CAP_PROP_FRAME_HEIGHT))
         )  # fmt: skip
-        if fps is None and not (math.isfinite(told) and 0 < told < MAX_FPS):
+        if fps is None and not (math.isfinite(stated_fps) and 0 < stated_fps < MAX_FPS):
             raise InputError(
-                f"{path}: tells a frame rate of {told:g} per second; say with --fps what it was recorded at."
+                f"{path}: tells a frame rate of {stated_fps:g} per second; say with --fps what it was recorded at."
             )
-        self.fps = told if fps is None else fps
+        self.fps = stated_fps if fps is None else fps
         self.frames, looks = self._read_through(capture, int(promised) if promised > 0 else None)
         self.background: Image = _compute_median(looks)
 

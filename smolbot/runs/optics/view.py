@@ -218,10 +218,10 @@ def _guess_starts(
 ) -> list[FloatArray]:
     """List start parameters: upright cameras of some focal lengths, turned as the points are."""
     world = points[:, :2] - points[:, :2].mean(axis=0)
-    seen = pixels - pixels.mean(axis=0)
+    centered = pixels - pixels.mean(axis=0)
     # seen from above, the picture's y runs against the world's: fit a turned and mirrored copy
-    a = np.sum(world[:, 0] * seen[:, 0] - world[:, 1] * seen[:, 1])
-    b = np.sum(world[:, 1] * seen[:, 0] + world[:, 0] * seen[:, 1])
+    a = np.sum(world[:, 0] * centered[:, 0] - world[:, 1] * centered[:, 1])
+    b = np.sum(world[:, 1] * centered[:, 0] + world[:, 0] * centered[:, 1])
     turn = math.atan2(b, a)
     scale = math.hypot(a, b) / float(np.sum(world**2))
     rotation = np.array(
@@ -254,8 +254,8 @@ def _as_matrix(vector: FloatArray) -> FloatArray:
 
 
 def _project(p: FloatArray, points: FloatArray) -> FloatArray:
-    seen = (points - p[4:7]) @ _as_matrix(p[1:4]).T
-    return np.asarray(math.exp(p[0]) * seen[:, :2] / seen[:, 2:] + p[7:9])
+    in_camera = (points - p[4:7]) @ _as_matrix(p[1:4]).T
+    return np.asarray(math.exp(p[0]) * in_camera[:, :2] / in_camera[:, 2:] + p[7:9])
 
 
 def _project_to_plane(p: FloatArray, pixels: FloatArray, height: float) -> FloatArray:

@@ -110,9 +110,9 @@ def draw_path(axes: Axes, mission: Mission, trace: Trace) -> None:
     """
     planned = mission.path.points * 1e3
     axes.plot(planned[:, 0], planned[:, 1], color=PLANNED, lw=9, solid_capstyle="round", label="planned", zorder=1)
-    heard = get_located_poses(trace.moments)
-    if heard:
-        places = np.array([p.position for p in heard]) * 1e3
+    poses = get_located_poses(trace.moments)
+    if poses:
+        places = np.array([p.position for p in poses]) * 1e3
         draw_dots(axes, places[:, 0], places[:, 1], 3.0, LOCATED, alpha=0.55, label="localized")
     draw_true_way(axes, trace.true_positions() * 1e3, (6, -13))
     axes.margins(0.08)

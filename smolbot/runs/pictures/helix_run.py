@@ -76,9 +76,9 @@ def draw_distance(axes: Axes, mission: Mission, trace: Trace) -> None:
     if places and trace.knows_truth:
         arc, distance = mission.path.project(np.vstack(places))
         axes.plot(arc * 1e3, distance * 1e3, color=TRUE, lw=1.3)
-        heard = [m for m in find_pauses(trace) if m.truth is not None and m.cycle.command.phase == "follow"]
-        if heard:
-            at, off = mission.path.project(np.array([m.truth.position for m in heard if m.truth]))
+        moments = [m for m in find_pauses(trace) if m.truth is not None and m.cycle.command.phase == "follow"]
+        if moments:
+            at, off = mission.path.project(np.array([m.truth.position for m in moments if m.truth]))
             axes.plot(at * 1e3, off * 1e3, "o", color=TRUE, ms=4.5, mfc="white", mew=1.4, label="pauses")
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=9, borderaxespad=0.0)
     else:
@@ -120,11 +120,11 @@ def draw_turns(axes: Axes, mission: Mission, trace: Trace) -> None:
     """
     bars: list[tuple[float, float, float]] = []
     for before, moment in zip(trace.moments, trace.moments[1:], strict=False):
-        turned = [w for w in moment.cycle.shot.windows if isinstance(w, Rotate)]
+        rotations = [w for w in moment.cycle.shot.windows if isinstance(w, Rotate)]
         pose = before.cycle.tracked
-        if turned and pose is not None:
+        if rotations and pose is not None:
             arc = float(mission.path.project(pose.position[None, :])[0][0])
-            bars.append((1e3 * arc, sum(w.turns for w in turned), turned[-1].frequency))
+            bars.append((1e3 * arc, sum(w.turns for w in rotations), rotations[-1].frequency))
     if bars:
         rows: FloatArray = np.array(bars)
         full = mission.rig.limits.max_rotation_frequency

@@ -124,11 +124,11 @@ def draw_view(axes: Axes, trace: Trace, box: ContainerSection, across: int) -> N
     truth = 1e3 * trace.true_positions()
     if len(truth):
         axes.plot(truth[:, 0], truth[:, across], color=TRUE, lw=0.9, label="true", zorder=4)
-    seen = get_located_poses(trace.moments)
-    if seen:
-        places = 1e3 * np.array([p.position for p in seen])
+    poses = get_located_poses(trace.moments)
+    if poses:
+        places = 1e3 * np.array([p.position for p in poses])
         draw_dots(axes, places[:, 0], places[:, across], 3.7, LOCATED, alpha=0.4, label="localized", zorder=3)
-        chosen = seen[:: max(len(seen) // MAX_ARROWS, 1)]
+        chosen = poses[:: max(len(poses) // MAX_ARROWS, 1)]
         start, ahead = 1e3 * np.array([p.position for p in chosen]), np.array([p.rotation[:, 2] for p in chosen])
         axes.quiver(
             start[:, 0], start[:, across], ARROW_LENGTH * ahead[:, 0], ARROW_LENGTH * ahead[:, across],
@@ -186,9 +186,9 @@ def draw_rate(axes: Axes, mission: Observation, trace: Trace) -> None:
     if lost:
         axes.plot(lost, np.zeros(len(lost)), "|", color=LOCATED, ms=9, clip_on=False, label="shot without a pose")
         axes.legend(loc="lower right", frameon=False, fontsize=9)
-    wanted = mission.sections.verdict.min_rate_hz
-    if wanted is not None:
-        draw_limit_line(axes, wanted, "wanted ")
+    required = mission.sections.verdict.min_rate_hz
+    if required is not None:
+        draw_limit_line(axes, required, "wanted ")
     axes.set_ylim(bottom=0.0)
     axes.set_title("Trusted poses in every second", loc="left", fontsize=11)
     axes.set_xlabel("time in s")

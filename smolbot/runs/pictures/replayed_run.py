@@ -92,6 +92,6 @@ def _draw_fits(axes: Any, recorded: Sequence[Moment], replayed: Sequence[Moment]
     for moments, color in ((recorded, RECORDED), (replayed, REPLAYED)):
         found = [(m.cycle.pose.time, 1.0 - m.cycle.pose.r_squared) for m in moments if m.cycle.pose is not None]
         if found:
-            times, left = np.array(found).T
-            axes.semilogy(times, np.maximum(left, 1e-7), ".", ms=3, color=color)
+            times, residuals = np.array(found).T
+            axes.semilogy(times, np.maximum(residuals, 1e-7), ".", ms=3, color=color)
     axes.set(xlabel="time (s)", ylabel="1 - R²", title="Unexplained share of the signal")

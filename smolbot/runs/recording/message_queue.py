@@ -44,7 +44,7 @@ CLOSE_TIMEOUT = 10.0
 
 
 class MessageSink(Protocol):
-    """A destination of messages; called from the pump's thread only."""
+    """A destination of messages; called from the thread of its queue only."""
 
     def write(self, message: Message) -> None:
         """Write one message.
@@ -70,7 +70,7 @@ class MessageQueue:
 
     Parameters
     ----------
-    sink : Sink
+    sink : MessageSink
     converter : Converter
     windows : bool
         Whether to pass on the samples, which are most of a record.
@@ -111,9 +111,9 @@ class MessageQueue:
         self._over = threading.Event()
         self._closed = False
         self._shots = 0
-        self._refused = self._lost = 0  # dropped by the loop's thread, and by the pump's: each counts its own
+        self._refused = self._lost = 0  # dropped by the loop's thread, and by the queue's: each counts its own
         self._put_in = self._taken_out = 0  # bytes; likewise
-        self._told = 0
+        self._reported = 0
         self._now = 0.0
         self._flushed = float("-inf")  # what the run starts from is flushed at once
         self._begun = time.monotonic()
@@ -185,15 +185,15 @@ class MessageQueue:
         else:
             self._drain()
 
-    def _put(self, job: QueueEntry, patience: float = 0.0) -> None:
+    def _put(self, entry: QueueEntry, patience: float = 0.0) -> None:
         until = time.monotonic() + patience
-        while not self._has_room(job.size):
+        while not self._has_room(entry.size):
             if self._over.is_set() or time.monotonic() >= until:
-                self._refused += job.count
+                self._refused += entry.count
                 return
             time.sleep(POLL_INTERVAL)
-        self._put_in += job.size
-        self._queue.append(job)
+        self._put_in += entry.size
+        self._queue.append(entry)
 
     def _has_room(self, size: int) -> bool:
         waiting = self._put_in - self._taken_out
@@ -231,20 +231,20 @@ class MessageQueue:
         self._report_drops()
         self._sink.flush()
 
-    def _pass_on(self, job: QueueEntry) -> None:
-        self._taken_out += job.size
+    def _pass_on(self, entry: QueueEntry) -> None:
+        self._taken_out += entry.size
         try:
-            made = tuple(job.make_messages(self._converter))
-        except Exception as error:  # one that cannot be told must not cost those that can
+            made = tuple(entry.make_messages(self._converter))
+        except Exception as error:  # one that cannot be encoded must not cost the others
             self._fail(error)
-            self._lost += job.count
+            self._lost += entry.count
             return
         for message in made:
             self._now = message.time
             self._sink.write(message)
 
     def _fail(self, error: Exception) -> None:
-        """Keep the first error, and tell whoever listens of each."""
+        """Keep the first error, and log each."""
         self.error = self.error or _format_error(error)
         _LOG.warning("the record, or what is shown live, is incomplete: %s", _format_error(error))
 
@@ -254,8 +254,8 @@ class MessageQueue:
 
     def _report_drops(self) -> None:
         dropped = self.dropped
-        if dropped != self._told:
-            self._told = dropped
+        if dropped != self._reported:
+            self._reported = dropped
             _LOG.warning("%d messages were dropped so far: the disk or the page is too slow", dropped)
             self._sink.write(Message("/run/dropped", self._now, pb.Dropped(messages=dropped)))
 
@@ -265,16 +265,16 @@ def _format_error(error: Exception) -> str:
 
 
 class RecorderSinks:
-    """Several pumps as one recorder sink.
+    """Several queues as one recorder sink.
 
     Parameters
     ----------
-    pumps : tuple of Pump
+    queues : tuple of MessageQueue
         The first is the recorder.
     """
 
-    def __init__(self, pumps: tuple[MessageQueue, ...]) -> None:
-        self._pumps = pumps
+    def __init__(self, queues: tuple[MessageQueue, ...]) -> None:
+        self._queues = queues
 
     def record_shot(self, shot: Shot, recording: Recording | None, ended: float) -> None:
         """Record a played shot; see `smolbot.runs.run.RecorderSink`.
@@ -286,8 +286,8 @@ class RecorderSinks:
         ended : float, in s
             On the rig's clock.
         """
-        for pump in self._pumps:
-            pump.record_shot(shot, recording, ended)
+        for queue in self._queues:
+            queue.record_shot(shot, recording, ended)
 
     def record_event(self, event: Event) -> None:
         """Record an event; see `smolbot.runs.run.RecorderSink`.
@@ -296,8 +296,8 @@ class RecorderSinks:
         ----------
         event : Event
         """
-        for pump in self._pumps:
-            pump.record_event(event)
+        for queue in self._queues:
+            queue.record_event(event)
 
     def record_cycle(self, number: int, moment: Moment) -> None:
         """Record a finished cycle.
@@ -307,11 +307,11 @@ class RecorderSinks:
         number : int
         moment : Moment
         """
-        for pump in self._pumps:
-            pump.record_cycle(number, moment)
+        for queue in self._queues:
+            queue.record_cycle(number, moment)
 
     def record_message(self, topic: str, when: float, content: Any, *, wait: bool = False) -> None:
-        """Record any other message; see `MessageQueue.tell`.
+        """Record any other message; see `MessageQueue.record_message`.
 
         Parameters
         ----------
@@ -322,13 +322,13 @@ class RecorderSinks:
         wait : bool
             Wait for a free place in the queue.
         """
-        for pump in self._pumps:
-            pump.record_message(topic, when, content, wait=wait)
+        for queue in self._queues:
+            queue.record_message(topic, when, content, wait=wait)
 
     def close(self) -> None:
-        """Let each pump write what still waits, then end it."""
-        for pump in self._pumps:
-            pump.close()
+        """Let each queue write what still waits, then end it."""
+        for queue in self._queues:
+            queue.close()
 
     def collect_figures(self) -> dict[str, Any]:
         """Collect dropped messages and the first error of the recorder, for the summary.
@@ -337,5 +337,5 @@ class RecorderSinks:
         -------
         dict
         """
-        first = self._pumps[0]
+        first = self._queues[0]
         return {"dropped": first.dropped, "error": first.error}

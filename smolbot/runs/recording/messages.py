@@ -84,8 +84,8 @@ def decode_window(message: pb.Window) -> Window:
         case "actuate":
             return Actuate(tuple(message.actuate.currents), message.actuate.duration)
         case "excite":
-            told = message.excite
-            return Excite((told.x, told.y), told.frequency, told.cycles)
+            excite = message.excite
+            return Excite((excite.x, excite.y), excite.frequency, excite.cycles)
         case "ring_down":
             return RingDown(message.ring_down.duration)
         case "listen":
@@ -93,8 +93,8 @@ def decode_window(message: pb.Window) -> Window:
         case "rest":
             return Rest(message.rest.duration)
         case "rotate":
-            turned = message.rotate
-            return Rotate((turned.x, turned.y, turned.z), turned.frequency, turned.turns)
+            rotate = message.rotate
+            return Rotate((rotate.x, rotate.y, rotate.z), rotate.frequency, rotate.turns)
         case "move_magnet":
             return MoveMagnet("near" if message.move_magnet.near else "away", message.move_magnet.expected_duration)
         case kind:

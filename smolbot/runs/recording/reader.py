@@ -161,7 +161,7 @@ class RecordedRun(Readable):
             except ConfigError as error:
                 raise ConfigError(str(error).replace(folder, str(self.path))) from error
         for document in (mission.document, mission.rig.document, mission.robot.document):
-            document.path = self.path / document.path.name  # what is told later names the record, not where it was
+            document.path = self.path / document.path.name  # later errors name the record, not the original place
         return mission
 
     @property
@@ -174,7 +174,7 @@ class RecordedRun(Readable):
 
         Yields
         ------
-        Played
+        PlayedShot
         Recording
         """
         for played in self.played:
@@ -359,9 +359,9 @@ class _RunBuilder:
         for number in sorted(self._timings):
             timing, parts = self._timings[number], self._parts.get(number, {})
             shot = shots.get(timing.shot)
-            wanted = {"/commands"} | ({"/poses/raw"} if timing.has_pose else set())
-            wanted |= {"/poses/tracked"} if timing.has_tracked else set()
-            if shot is None or not wanted <= parts.keys():
+            needed = {"/commands"} | ({"/poses/raw"} if timing.has_pose else set())
+            needed |= {"/poses/tracked"} if timing.has_tracked else set()
+            if shot is None or not needed <= parts.keys():
                 continue  # part of it was dropped
             found.moments.append(_make_moment(shot, timing, parts))
             found.shot_of_cycle.append(timing.shot)

@@ -21,7 +21,7 @@ RECORD = "run.mcap"
 """File of a run folder."""
 
 PROFILE = "smolbot"
-"""Profile in the file's header, by which a record of ours is told from another MCAP file."""
+"""Profile in the file's header, which distinguishes our records from other MCAP files."""
 
 CHUNK = 4 * 2**20
 """Bytes of a chunk; a flush ends one earlier."""

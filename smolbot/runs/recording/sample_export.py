@@ -66,17 +66,17 @@ def export_samples(run: RecordedRun, kind: str, out: Path, shots: list[int], *, 
     """
     if kind not in FORMATS:
         raise InputError(f"--format {kind}: is not known; known: {', '.join(FORMATS)}.")
-    heard = {played.number: recording for played, recording in run.recordings()}
-    missing = [number for number in shots if number not in heard]
+    recorded = {played.number: recording for played, recording in run.recordings()}
+    missing = [number for number in shots if number not in recorded]
     if missing or not shots:
-        span = f"{min(heard)} to {max(heard)}" if heard else "none"
+        span = f"{min(recorded)} to {max(recorded)}" if recorded else "none"
         raise InputError(f"{run.path}: shot {missing[0] if missing else 'none'} was not heard; heard were {span}.")
-    recordings = [heard[number] for number in shots]
+    recordings = [recorded[number] for number in shots]
     lengths = sorted({(r.field.shape[1], r.sample_rate) for r in recordings})
     if len(lengths) > 1:
-        told = ", ".join(f"{n} at {rate:g} Hz" for n, rate in lengths[:4])
+        lengths_text = ", ".join(f"{n} at {rate:g} Hz" for n, rate in lengths[:4])
         raise InputError(
-            f"--shots: these have unequal numbers of samples ({told}); a file of samples holds equal ones."
+            f"--shots: these have unequal numbers of samples ({lengths_text}); a file of samples holds equal ones."
         )
     driven = [bool(np.isfinite(r.time_since_drive)) for r in recordings]
     if any(driven) and not all(driven):

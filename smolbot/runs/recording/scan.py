@@ -74,7 +74,7 @@ class Scan:
 
         Yields
         ------
-        Found
+        ScannedMessage
         """
         data, size = self._data, len(self._data)
         self._topics = self._read_summary_channels()
@@ -97,11 +97,11 @@ class Scan:
             elif 0 < opcode <= LAST_OPCODE and end <= size:
                 body = data[position + 9 : end]
                 if opcode == DATA_END and len(body) >= 4:
-                    (told,) = struct.unpack_from("<I", body)
-                    whole = whole and told in (0, zlib.crc32(data[:position]))
+                    (stated,) = struct.unpack_from("<I", body)
+                    whole = whole and stated in (0, zlib.crc32(data[:position]))
                 elif opcode == FOOTER and data[end:] == MAGIC and len(body) == 20:
-                    begun, _, told = struct.unpack("<QQI", body)
-                    self.finished = whole and told in (0, zlib.crc32(data[begun or position : end - 4]))
+                    begun, _, stated = struct.unpack("<QQI", body)
+                    self.finished = whole and stated in (0, zlib.crc32(data[begun or position : end - 4]))
                     return
                 else:
                     yield from self._read_record(opcode, body)

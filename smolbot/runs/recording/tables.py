@@ -59,7 +59,7 @@ def make_tables(run: RecordedRun) -> dict[str, RunTable]:
     moments = list(zip(run.number_of_cycle, run.moments, strict=True))
     cycles = [(n, m.cycle) for n, m in moments]
     shots = ((p.number, p.shot.windows) for p in run.played)
-    wanted = ((n, _list_windows(c.command.window)) for n, c in cycles)
+    commanded = ((n, _list_windows(c.command.window)) for n, c in cycles)
     return {
         "shots": _make_shots_table(run),
         "windows": _make_windows_table("a window of a shot, in order", "shot", shots),
@@ -74,7 +74,7 @@ def make_tables(run: RecordedRun) -> dict[str, RunTable]:
         ),
         "way_true": _make_way_table(moments),
         "commands": _make_commands_table(cycles),
-        "command_windows": _make_windows_table("a window of a command, in order", "cycle", wanted),
+        "command_windows": _make_windows_table("a window of a command, in order", "cycle", commanded),
         "events": _make_events_table(run),
     }
 
@@ -88,27 +88,27 @@ def make_samples_table(run: RecordedRun) -> tuple[RunTable, NDArray[np.float64]]
 
     Returns
     -------
-    Table
+    RunTable
         A row for each recording: its samples are rows `first` to `first` + `samples` - 1 of the field, counted from
         0.
     ndarray, shape (n_samples, n_sensors), in T
     """
-    heard = list(run.recordings())
-    lengths = [recording.field.shape[1] for _, recording in heard]
+    recordings = list(run.recordings())
+    lengths = [recording.field.shape[1] for _, recording in recordings]
     n_sensors = len(run.converter.gains)
     table = RunTable(
         "a recording",
         {
-            "shot": _to_ints(played.number for played, _ in heard),
+            "shot": _to_ints(played.number for played, _ in recordings),
             "first": _to_ints(np.cumsum([0, *lengths])[:-1].tolist()),
             "samples": _to_ints(lengths),
-            "clock_s": _to_floats(recording.clock for _, recording in heard),
-            "sample_rate_hz": _to_floats(recording.sample_rate for _, recording in heard),
-            "time_since_drive_s": _to_floats(recording.time_since_drive for _, recording in heard),
-            "saturated": np.array([r.saturated for _, r in heard], np.bool_).reshape(len(heard), n_sensors),
+            "clock_s": _to_floats(recording.clock for _, recording in recordings),
+            "sample_rate_hz": _to_floats(recording.sample_rate for _, recording in recordings),
+            "time_since_drive_s": _to_floats(recording.time_since_drive for _, recording in recordings),
+            "saturated": np.array([r.saturated for _, r in recordings], np.bool_).reshape(len(recordings), n_sensors),
         },
     )
-    return table, np.vstack([np.zeros((0, n_sensors)), *(recording.field.T for _, recording in heard)])
+    return table, np.vstack([np.zeros((0, n_sensors)), *(recording.field.T for _, recording in recordings)])
 
 
 def compute_volts(run: RecordedRun, recording: Recording) -> NDArray[np.float64]:

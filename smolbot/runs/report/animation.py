@@ -134,7 +134,7 @@ class AnimationScene:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
     speed : float
         How many times faster than the run, for the label.
     """
@@ -298,10 +298,10 @@ def _set_limits(axes: Axes, low: FloatArray, high: FloatArray) -> None:
 
 
 def _compute_limits(
-    flight: RecordedFlight, trail: InterpolatedTrack, heard: InterpolatedTrack
+    flight: RecordedFlight, trail: InterpolatedTrack, located: InterpolatedTrack
 ) -> tuple[FloatArray, FloatArray]:
     """Compute the corners of what to show in mm: the track, and the container of an observed device."""
-    shown = [1e3 * trail.positions[:, :2], 1e3 * heard.positions[:, :2]]
+    shown = [1e3 * trail.positions[:, :2], 1e3 * located.positions[:, :2]]
     if flight.steered is not None:
         shown.append(1e3 * flight.steered.path.points[:, :2])
     if isinstance(flight.mission, Observation) and flight.mission.sections.observe.measurements is None:

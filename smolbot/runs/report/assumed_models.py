@@ -21,7 +21,7 @@ class AssumedModels:
     ----------
     sensors : SensorArray
     device : Device
-    tails : CoilTails
+    tails : CoilDecays
         Decay of the coil currents after actuation.
     transients : tuple of float, in s
         Time constants of the excitation coils' ring-down.
@@ -42,7 +42,7 @@ class AssumedModels:
 
         Returns
         -------
-        Beliefs
+        AssumedModels
         """
         return cls(mission.rig.sensors, mission.robot.device)
 
@@ -55,28 +55,28 @@ class AssumedModels:
 
         Returns
         -------
-        Beliefs
+        AssumedModels
             Unchanged if the event concerns none of it.
         """
-        told: dict[str, Any] = event.detail
+        detail: dict[str, Any] = event.detail
         if event.what == "array learned":
-            gains = told.get("gains")
+            gains = detail.get("gains")
             sensors = SensorArray(
-                np.array(told["positions_m"]), np.array(told["axes"]), self.sensors.bandwidth,
+                np.array(detail["positions_m"]), np.array(detail["axes"]), self.sensors.bandwidth,
                 None if gains is None else np.array(gains),
             )  # fmt: skip
             return replace(
-                self, sensors=sensors, device=replace(self.device, moment=told["moment_a_m2"], l0=told["l0_m"])
+                self, sensors=sensors, device=replace(self.device, moment=detail["moment_a_m2"], l0=detail["l0_m"])
             )
         if event.what == "device retuned":
-            device = replace(self.device, frequency=told["frequency_hz"], damping=told["damping_per_s"])
+            device = replace(self.device, frequency=detail["frequency_hz"], damping=detail["damping_per_s"])
             return replace(self, device=device)
         if event.what == "ring-down learned":
-            return replace(self, transients=tuple(1e-3 * t for t in told["time_constants_ms"]))
+            return replace(self, transients=tuple(1e-3 * t for t in detail["time_constants_ms"]))
         if event.what == "coil tails learned":
-            sizes = iter(told["sizes_t_per_a"])
+            sizes = iter(detail["sizes_t_per_a"])
             tails = tuple(
-                None if t is None else CoilDecay(1e-3 * t, np.array(next(sizes))) for t in told["time_constants_ms"]
+                None if t is None else CoilDecay(1e-3 * t, np.array(next(sizes))) for t in detail["time_constants_ms"]
             )
             return replace(self, tails=CoilDecays(tails))
         return self

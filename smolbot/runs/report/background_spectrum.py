@@ -45,7 +45,7 @@ def find_background_recordings(flight: RecordedFlight) -> list[Recording]:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------

@@ -50,18 +50,18 @@ def compute_coil_load(flight: RecordedFlight) -> CoilLoad:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
-    Strain
+    CoilLoad
     """
     rig = flight.mission.rig
     safety = rig.sections.safety
     names = rig.driven
     heat = CoilHeat(rig.thermal, safety.ambient_c)
-    told: Any = flight.run.safety.get("coil_temperature_begin_c", {})
-    heat.temperatures = [float(told.get(name, safety.ambient_c)) for name in names]
+    initial: Any = flight.run.safety.get("coil_temperature_begin_c", {})
+    heat.temperatures = [float(initial.get(name, safety.ambient_c)) for name in names]
     times, driven, temperatures = [0.0], [[0.0] * len(names)], [list(heat.temperatures)]
     for start, window in _iterate_windows(flight):
         if start > times[-1]:

@@ -53,12 +53,12 @@ class Comparison:
 
     Attributes
     ----------
-    flights : list of Flight
+    flights : list of RecordedFlight
     labels : list of str
         Short names of the runs.
     settings : list of tuple
         Name of each setting that differs, and its value in each run.
-    figures : list of Compared
+    figures : list of ComparedFigure
     notes : list of str
         Warnings for the reader: different paths, records that are cut short.
     """
@@ -171,9 +171,9 @@ def _compare_figures(flights: list[RecordedFlight]) -> list[ComparedFigure]:
         ("compute_ms.median", "median computing time", "compute", compute_median),
     ]
     single += [("loop_rate_hz", "loop rate"), ("duration_s", "duration"), ("cycles", "cycles")]
-    told = [compute_series(flight) for flight in flights]
+    series = [compute_series(flight) for flight in flights]
     found = [
-        _compare_series(key, name, [one.get(kind) for one in told], statistic) for key, name, kind, statistic in rows
+        _compare_series(key, name, [one.get(kind) for one in series], statistic) for key, name, kind, statistic in rows
     ]
     found += [_compare_numbers(key, name, [flight.summary.get(key) for flight in flights]) for key, name in single]
     return [figure for figure in found if any(figure.values)]
@@ -203,7 +203,7 @@ def compute_series(flight: RecordedFlight) -> dict[str, FloatArray]:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------

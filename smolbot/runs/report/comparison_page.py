@@ -75,8 +75,8 @@ def build_comparison_page(found: Comparison) -> str:
         ]
     title = " and ".join(found.labels) if len(found.labels) == 2 else f"{len(found.labels)} runs compared"
     robot = found.flights[0].mission.robot
-    told = f"Robot {robot.name} ({robot.kind}). Changes and differences are against the first run."
-    return render_page(title, title, [ELEMENTS.paragraph(line) for line in (told, *found.notes)], sections)
+    lead = f"Robot {robot.name} ({robot.kind}). Changes and differences are against the first run."
+    return render_page(title, title, [ELEMENTS.paragraph(line) for line in (lead, *found.notes)], sections)
 
 
 def _build_figures_section(found: Comparison) -> Section:

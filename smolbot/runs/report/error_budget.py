@@ -119,7 +119,7 @@ def compute_budget(mission: Mission, steps: list[BudgetStep]) -> ErrorBudget | N
     Parameters
     ----------
     mission : Mission
-    steps : list of Step
+    steps : list of BudgetStep
 
     Returns
     -------
@@ -162,11 +162,11 @@ def find_steps(flight: RecordedFlight) -> list[BudgetStep]:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
-    list of Step
+    list of BudgetStep
     """
     mission = flight.steered
     assert mission is not None
@@ -178,12 +178,12 @@ def find_steps(flight: RecordedFlight) -> list[BudgetStep]:
     setup = mission.setup()
     found = []
     for (number, before), (next_number, after) in pairwise(moments):
-        believed = before.cycle.tracked
-        if next_number != number + 1 or not _has_truth(before, after) or believed is None:
+        estimate = before.cycle.tracked
+        if next_number != number + 1 or not _has_truth(before, after) or estimate is None:
             continue
-        step = predict_step(setup.robot, setup.table, believed, after.cycle.shot.windows, setup.device.moment_in_body)
+        step = predict_step(setup.robot, setup.table, estimate, after.cycle.shot.windows, setup.device.moment_in_body)
         if step is not None:
-            found.append(_make_step(before, after, believed.position[:2] + step))
+            found.append(_make_step(before, after, estimate.position[:2] + step))
     return found
 
 
@@ -200,13 +200,13 @@ def _find_mechanical_steps(moments: list[tuple[int, Moment]]) -> list[BudgetStep
 
 
 def _make_step(before: Moment, after: Moment, expected: FloatArray) -> BudgetStep:
-    believed = before.cycle.tracked
-    assert believed is not None
+    estimate = before.cycle.tracked
+    assert estimate is not None
     assert before.truth is not None
     assert before.truth_at_end is not None
     assert after.truth is not None
     return BudgetStep(
-        believed.position[:2],
+        estimate.position[:2],
         before.truth.position[:2],
         before.truth_at_end.position[:2],
         expected,
@@ -218,8 +218,8 @@ def _make_step(before: Moment, after: Moment, expected: FloatArray) -> BudgetSte
 
 def _has_truth(before: Moment, after: Moment) -> bool:
     """Return whether both cycles have a pose and the ground truth."""
-    heard = before.cycle.pose is not None and after.cycle.pose is not None
-    return heard and before.truth is not None and before.truth_at_end is not None and after.truth is not None
+    located = before.cycle.pose is not None and after.cycle.pose is not None
+    return located and before.truth is not None and before.truth_at_end is not None and after.truth is not None
 
 
 def predict_step(

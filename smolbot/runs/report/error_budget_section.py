@@ -25,7 +25,7 @@ def build_budget_section(flight: RecordedFlight) -> Section:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -57,7 +57,7 @@ def format_rows(budget: ErrorBudget) -> list[tuple[str, str, str, str, str]]:
 
     Parameters
     ----------
-    budget : Budget
+    budget : ErrorBudget
 
     Returns
     -------
@@ -69,8 +69,8 @@ def format_rows(budget: ErrorBudget) -> list[tuple[str, str, str, str, str]]:
         for name, values in budget.parts.items()
     ]
     total = f"tracking error of {len(budget.error)} steps"
-    whole = _format_percent(sum(shares.values()))
-    return [*rows, ("total", f"{1e3 * budget.total_rms:.4f}", _format_signed(budget.error), whole, total)]
+    share = _format_percent(sum(shares.values()))
+    return [*rows, ("total", f"{1e3 * budget.total_rms:.4f}", _format_signed(budget.error), share, total)]
 
 
 def _format_signed(values: FloatArray) -> str:
@@ -86,7 +86,7 @@ def describe_budget(budget: ErrorBudget, summary: dict[str, Any], *, helical: bo
 
     Parameters
     ----------
-    budget : Budget
+    budget : ErrorBudget
     summary : dict
     helical : bool
 
@@ -105,12 +105,12 @@ def describe_budget(budget: ErrorBudget, summary: dict[str, Any], *, helical: bo
         f"({'they add' if alone < square else 'they make up for one another'}). A share counts that in: it is the "
         "mean product of part and error over the mean square of the error, and may be negative."
     ]
-    told = summary.get("tracking_error_mm")
-    if told is not None:
+    tracking = summary.get("tracking_error_mm")
+    if tracking is not None:
         where = "at the first pose of each pause" if helical else "at poses"
         lines.append(
             f"The budget is taken {where}: {1e3 * budget.total_rms:.3f} mm rms. The tracking error of this run, taken "
-            f"also at shot ends{' and on the way between pauses' if helical else ''}, is {told['rms']:.3f} mm rms."
+            f"also at shot ends{' and on the way between pauses' if helical else ''}, is {tracking['rms']:.3f} mm rms."
         )
     return lines
 
@@ -120,7 +120,7 @@ def draw_budget(budget: ErrorBudget) -> Figure:
 
     Parameters
     ----------
-    budget : Budget
+    budget : ErrorBudget
 
     Returns
     -------
@@ -198,7 +198,7 @@ def compute_pose_budget(pairs: list[tuple[Any, Any]]) -> dict[str, float] | None
 
 
 def _format_pose_rows(found: dict[str, float]) -> list[tuple[str, str, str, str]]:
-    said = {
+    meanings = {
         "bias": "the same in every pose: misplaced sensors, a model error that is the same everywhere",
         "predicted": "noise, as the covariance of each pose predicts it",
         "rest": "the remainder: misplaced sensors whose effect depends on the position, motion within a window, mains",
@@ -208,5 +208,5 @@ def _format_pose_rows(found: dict[str, float]) -> list[tuple[str, str, str, str]
     for name in ("bias", "predicted", "rest", "total"):
         square = found[name]
         rms = np.sign(square) * np.sqrt(abs(square))
-        rows.append((name, f"{1e3 * rms:.3f}", f"{100 * square / found['total']:.0f} %", said[name]))
+        rows.append((name, f"{1e3 * rms:.3f}", f"{100 * square / found['total']:.0f} %", meanings[name]))
     return rows

@@ -72,11 +72,11 @@ def build_verdict_table(mission: AnyMission, summary: dict[str, Any]) -> Markup:
     ]
     for key, name, limit, is_maximum in _list_criteria(mission):
         value = _get_value(summary, key)
-        wanted = f"at {'most' if is_maximum else 'least'} {limit:g} {get_unit(key)}"
+        required = f"at {'most' if is_maximum else 'least'} {limit:g} {get_unit(key)}"
         if value is None:
-            rows.append((name, "not known: no ground truth", wanted, None))
+            rows.append((name, "not known: no ground truth", required, None))
         else:
-            rows.append((name, _format_data(key, value), wanted, value <= limit if is_maximum else value >= limit))
+            rows.append((name, _format_data(key, value), required, value <= limit if is_maximum else value >= limit))
     return ELEMENTS.verdict(rows)
 
 
@@ -153,7 +153,7 @@ def append_unit(shown: str, unit: str) -> str:
 
 
 def _format_cells(key: str, value: Any) -> Markup:
-    """Each number of a figure that has several, with its name."""
+    """Format each number of a figure that has several, with its name."""
     if isinstance(value, dict):
         return ELEMENTS.named_figures([(name, _format_data(f"{key}.{name}", inner)) for name, inner in value.items()])
     if isinstance(value, list):
@@ -163,11 +163,11 @@ def _format_cells(key: str, value: Any) -> Markup:
 
 def _format_data(key: str, value: Any) -> Markup:
     if value is None:
-        said = "-"
+        text = "-"
     else:
         shown = f"{value:.4f}" if key.startswith("r_squared") else format_number(value)
-        said = append_unit(shown, get_unit(key))
-    return ELEMENTS.figure_of_merit(key, value, said)
+        text = append_unit(shown, get_unit(key))
+    return ELEMENTS.figure_of_merit(key, value, text)
 
 
 def _list_criteria(mission: AnyMission) -> Iterator[tuple[str, str, float, bool]]:
@@ -181,10 +181,10 @@ def _list_criteria(mission: AnyMission) -> Iterator[tuple[str, str, float, bool]
             ("sigma_mm.distance", "scatter in space", looked.max_sigma_mm, True),
         ]
     else:
-        wanted = mission.sections.verdict
+        limits = mission.sections.verdict
         asked = [
-            ("tracking_error_mm.mean", "mean tracking error", wanted.mean_tracking_mm, True),
-            ("localization_error_mm.mean", "mean localization error", wanted.mean_localization_mm, True),
+            ("tracking_error_mm.mean", "mean tracking error", limits.mean_tracking_mm, True),
+            ("localization_error_mm.mean", "mean localization error", limits.mean_localization_mm, True),
         ]
     for key, name, limit, is_maximum in asked:
         if limit is not None:

@@ -41,7 +41,7 @@ class InterpolatedTrack:
 
         Returns
         -------
-        Track
+        InterpolatedTrack
         """
         ordered = sorted(poses, key=lambda pose: pose.time)
         ahead = np.array([(p.rotation @ body_axis)[:2] for p in ordered]).reshape(-1, 2)
@@ -59,7 +59,7 @@ class InterpolatedTrack:
 
         Returns
         -------
-        Track
+        InterpolatedTrack
         """
         if not len(times) or not len(self.times):
             return self

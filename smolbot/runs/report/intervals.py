@@ -167,8 +167,8 @@ def estimate_with_interval(values: FloatArray, statistic: Statistic) -> Estimate
     value = float(statistic(values))
     if len(values) < 8:
         return Estimate(value)
-    drawn = statistic(draw_resamples(values, np.random.default_rng(SEED)))
-    low, high = np.percentile(drawn, [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)])
+    resampled = statistic(draw_resamples(values, np.random.default_rng(SEED)))
+    low, high = np.percentile(resampled, [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)])
     return Estimate(value, float(low), float(high))
 
 
@@ -190,6 +190,6 @@ def estimate_difference(values: FloatArray, others: FloatArray, statistic: Stati
     if min(len(values), len(others)) < 8:
         return Estimate(value)
     first, second = (np.random.default_rng([SEED, which]) for which in (1, 2))
-    drawn = statistic(draw_resamples(values, first)) - statistic(draw_resamples(others, second))
-    low, high = np.percentile(drawn, [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)])
+    resampled = statistic(draw_resamples(values, first)) - statistic(draw_resamples(others, second))
+    low, high = np.percentile(resampled, [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)])
     return Estimate(value, float(low), float(high))

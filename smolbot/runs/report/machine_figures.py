@@ -39,8 +39,8 @@ def draw_coils_figure(flight: RecordedFlight, strain: CoilLoad) -> Figure:
 
     Parameters
     ----------
-    flight : Flight
-    strain : Strain
+    flight : RecordedFlight
+    strain : CoilLoad
 
     Returns
     -------
@@ -89,7 +89,7 @@ def draw_cycle_figure(flight: RecordedFlight) -> Figure:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -111,7 +111,7 @@ def find_typical_shots(flight: RecordedFlight) -> list[tuple[Shot, int]]:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -145,12 +145,12 @@ def _draw_shot(axes: Axes, shot: Shot, times: int, compute: Any, turnaround: flo
         name, color = WINDOW_STYLES[type(window)]
         start, length = scale * at, scale * window.duration
         axes.barh(0.0, length, left=start, height=0.6, color=color, lw=0)
-        said = _format_window(window, name, length, unit)
-        middle, half = start + 0.5 * length, _LETTER_HALF_WIDTH * len(said) * whole
+        text = _format_window(window, name, length, unit)
+        middle, half = start + 0.5 * length, _LETTER_HALF_WIDTH * len(text) * whole
         row = next((i for i, taken in enumerate(free) if middle - half > taken), 2)
         free[row] = middle + half
         side, away = (1, 4) if row == 0 else (-1, 4 if row == 1 else 15)
-        axes.annotate(said, (middle, 0.3 * side), xytext=(0, away * side), textcoords="offset points", ha="center",
+        axes.annotate(text, (middle, 0.3 * side), xytext=(0, away * side), textcoords="offset points", ha="center",
                       va="bottom" if row == 0 else "top", fontsize=8.5)  # fmt: skip
     end = scale * shot.duration
     median, slowest = scale * float(np.median(compute)), scale * float(np.percentile(compute, 99))
@@ -198,7 +198,7 @@ def _draw_bursts(axes: Axes, flight: RecordedFlight) -> None:
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=2, borderaxespad=0.0)
 
 
-def _draw_limit(axes: Axes, value: float, said: str) -> None:
+def _draw_limit(axes: Axes, value: float, text: str) -> None:
     axes.axhline(value, color="#999999", lw=1, ls="--", zorder=1)
-    axes.text(0.0, value, f" {said}", color="#777777", fontsize=8.5, va="bottom", ha="left",
+    axes.text(0.0, value, f" {text}", color="#777777", fontsize=8.5, va="bottom", ha="left",
               transform=axes.get_yaxis_transform())  # fmt: skip

@@ -57,7 +57,7 @@ def compare_with_track(flight: RecordedFlight) -> OpticalComparison | None:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -77,9 +77,9 @@ def compare_with_track(flight: RecordedFlight) -> OpticalComparison | None:
     times = np.array([pose.time for pose in poses])
     places, headings, known = track.interpolate(times)
     ahead = np.array([pose.body_axis("z") for pose in poses]).reshape(-1, 3)
-    turned = np.angle(np.exp(1j * (np.arctan2(ahead[:, 1], ahead[:, 0]) - headings)))
+    heading_errors = np.angle(np.exp(1j * (np.arctan2(ahead[:, 1], ahead[:, 0]) - headings)))
     located = np.array([pose.position for pose in poses]).reshape(-1, 3)
-    return OpticalComparison(track, times[known], located[known], places[known], turned[known])
+    return OpticalComparison(track, times[known], located[known], places[known], heading_errors[known])
 
 
 def build_optical_sections(flight: RecordedFlight) -> list[Section]:
@@ -87,7 +87,7 @@ def build_optical_sections(flight: RecordedFlight) -> list[Section]:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -96,32 +96,32 @@ def build_optical_sections(flight: RecordedFlight) -> list[Section]:
     """
     section = Section("optical", "Optical reference")
     try:
-        seen = compare_with_track(flight)
+        pair = compare_with_track(flight)
     except SmolbotError as error:
         return [section.add_missing_note(f"The optical track of this run cannot be used: {error}")]
-    if seen is None:
+    if pair is None:
         return []
-    if not len(seen.times):
+    if not len(pair.times):
         return [section.add_missing_note("No pose of this run lies between two frames of its optical track.")]
     section.add_figure(
-        to_svg(draw_optical_figure(flight, seen), "optical", "Poses against the optical track"),
+        to_svg(draw_optical_figure(flight, pair), "optical", "Poses against the optical track"),
         "Left: where the camera saw the robot, and where it was located. Right: horizontal distance of each trusted "
         "pose to the camera's place at the same time, and the difference of their headings.",
     )
     return [
         section.add(
-            ELEMENTS.table(format_optical_rows(flight, seen), ("", "mean", "std", "rms", "95 %", "max"), numbers=True)
+            ELEMENTS.table(format_optical_rows(flight, pair), ("", "mean", "std", "rms", "95 %", "max"), numbers=True)
         )
     ]
 
 
-def format_optical_rows(flight: RecordedFlight, seen: OpticalComparison) -> list[list[str]]:
+def format_optical_rows(flight: RecordedFlight, pair: OpticalComparison) -> list[list[str]]:
     """Format the errors against the camera: of poses, of headings, and of the robot to its path.
 
     Parameters
     ----------
-    flight : Flight
-    seen : Seen
+    flight : RecordedFlight
+    pair : OpticalComparison
 
     Returns
     -------
@@ -129,26 +129,26 @@ def format_optical_rows(flight: RecordedFlight, seen: OpticalComparison) -> list
         A table row for each.
     """
     rows = [
-        ("pose to camera, mm", 1e3 * seen.distances),
-        ("heading to camera, °", np.degrees(np.abs(seen.heading_errors))),
+        ("pose to camera, mm", 1e3 * pair.distances),
+        ("heading to camera, °", np.degrees(np.abs(pair.heading_errors))),
     ]
     following = flight.trace.following
     if flight.steered is not None and following:
-        since = seen.track.times >= following[0].cycle.shot.end
+        since = pair.track.times >= following[0].cycle.shot.end
         if since.any():
-            off = flight.steered.path.project(seen.track.positions[since])[1]
+            off = flight.steered.path.project(pair.track.positions[since])[1]
             rows.append(("robot as seen to the path, mm", 1e3 * off))
     names = ("mean", "std", "rms", "p95", "max")
     return [[name, *(f"{value:.3f}" for value in compute_statistics(values, *names).values())] for name, values in rows]
 
 
-def draw_optical_figure(flight: RecordedFlight, seen: OpticalComparison) -> Figure:
+def draw_optical_figure(flight: RecordedFlight, pair: OpticalComparison) -> Figure:
     """Draw track and poses from above, and their differences in position and heading over time.
 
     Parameters
     ----------
-    flight : Flight
-    seen : Seen
+    flight : RecordedFlight
+    pair : OpticalComparison
 
     Returns
     -------
@@ -159,19 +159,19 @@ def draw_optical_figure(flight: RecordedFlight, seen: OpticalComparison) -> Figu
     above, apart, turned = panels["above"], panels["apart"], panels["turned"]
     if flight.steered is not None:
         above.plot(*(1e3 * flight.steered.path.points[:, :2].T), color=PLANNED, lw=7, alpha=0.7, label="planned")
-    above.plot(*(1e3 * seen.track.positions[:, :2].T), color=TRUE, lw=1.4, label="seen")
+    above.plot(*(1e3 * pair.track.positions[:, :2].T), color=TRUE, lw=1.4, label="seen")
     draw_dots(
-        above, 1e3 * seen.located[:, 0], 1e3 * seen.located[:, 1], 2.6, LOCATED, alpha=0.6, label="each pose", zorder=3
+        above, 1e3 * pair.located[:, 0], 1e3 * pair.located[:, 1], 2.6, LOCATED, alpha=0.6, label="each pose", zorder=3
     )
     above.set_aspect("equal", adjustable="datalim")
     above.set_xlabel("x in mm")
     above.set_ylabel("y in mm")
     above.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3)
-    draw_dots(apart, seen.times, 1e3 * seen.distances, 2.4, LOCATED, alpha=0.7)
-    apart.axhline(1e3 * float(seen.distances.mean()), color=TRUE, lw=1)
+    draw_dots(apart, pair.times, 1e3 * pair.distances, 2.4, LOCATED, alpha=0.7)
+    apart.axhline(1e3 * float(pair.distances.mean()), color=TRUE, lw=1)
     apart.set_title("Pose to camera, horizontally, in mm; line: mean")
     apart.set_ylim(bottom=0.0)
-    draw_dots(turned, seen.times, np.degrees(seen.heading_errors), 2.4, LOCATED, alpha=0.7)
+    draw_dots(turned, pair.times, np.degrees(pair.heading_errors), 2.4, LOCATED, alpha=0.7)
     turned.axhline(0.0, color=TRUE, lw=1)
     turned.set_title("Heading located minus seen, in degrees")
     turned.set_xlabel("time in s")

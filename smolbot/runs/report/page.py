@@ -37,7 +37,7 @@ def save_report(flight: RecordedFlight, out: Path | None = None) -> Path:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
     out : Path, optional
         File to write; default: ``report.html`` in the run folder.
 
@@ -63,7 +63,7 @@ def build_report(flight: RecordedFlight) -> str:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -239,13 +239,13 @@ def _build_signal_sections(flight: RecordedFlight) -> list[Section]:
     """Build the sections on signals and noise."""
     fit, noise = Section("fit", "Signal and fit"), Section("noise", "Noise and mains")
     windows = list(fit_windows(flight))
-    heard: BackgroundSpectrum | None = None
-    quiet = find_background_recordings(flight)
+    spectrum: BackgroundSpectrum | None = None
+    background = find_background_recordings(flight)
     try:
-        heard = estimate_background_spectrum(quiet)
+        spectrum = estimate_background_spectrum(background)
     except InputError as error:
         noise.add_missing_note(f"No noise model can be estimated from the quiet recordings: {error}")
-    lines = np.zeros(0) if heard is None else heard.line_frequencies
+    lines = np.zeros(0) if spectrum is None else spectrum.line_frequencies
     if windows:
         fit.add_figure(
             to_svg(
@@ -259,16 +259,16 @@ def _build_signal_sections(flight: RecordedFlight) -> list[Section]:
         )
     else:
         fit.add_missing_note(NO_SIGNALS)
-    if heard is not None:
+    if spectrum is not None:
         noise.add_figure(
-            to_svg(signals.draw_noise_figure(heard), "noise", "Spectral density of the noise of every channel"),
-            f"Recorded in {heard.seconds:.0f} s before the first cycle. Dotted: identified spectral lines. The dashed "
-            "floor is the median between lines, from 20 Hz to 200 Hz.",
+            to_svg(signals.draw_noise_figure(spectrum), "noise", "Spectral density of the noise of every channel"),
+            f"Recorded in {spectrum.seconds:.0f} s before the first cycle. Dotted: identified spectral lines. The "
+            "dashed floor is the median between lines, from 20 Hz to 200 Hz.",
         )
-        noise.add(ELEMENTS.table(*_format_lines(heard), numbers=True))
-    elif not quiet and not windows:
+        noise.add(ELEMENTS.table(*_format_lines(spectrum), numbers=True))
+    elif not background and not windows:
         noise.add_missing_note(NO_SIGNALS)
-    elif not quiet:
+    elif not background:
         noise.add_missing_note(
             "Nothing was recorded before the first cycle (quiet_s, or an estimator without a noise model)."
         )

@@ -103,7 +103,7 @@ class Section:
 def render_page(
     title: str, heading: str, lead: Sequence[Markup], sections: Sequence[Section], *, warning: str = ""
 ) -> str:
-    """Render a whole page.
+    """Render a complete page.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ def draw_path_figure(flight: RecordedFlight) -> Figure:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -68,7 +68,7 @@ def draw_track_figure(flight: RecordedFlight, mission: Observation) -> Figure:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
     mission : Observation
 
     Returns
@@ -85,10 +85,10 @@ def draw_track_figure(flight: RecordedFlight, mission: Observation) -> Figure:
         observation_picture.draw_view(axes, flight.trace, mission.rig.container, across)
     above.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, fontsize=9)
     front.set_xlabel("x in mm")
-    seen = [m for m in flight.trace.moments if m.cycle.tracked is not None and m.cycle.tracked.trusted]
-    if seen:
-        off = [_compute_tracked_error(m) for m in seen]
-        chosen = seen[int(np.argmax(off))] if max(off) > 0 else seen[len(seen) // 2]
+    tracked = [m for m in flight.trace.moments if m.cycle.tracked is not None and m.cycle.tracked.trusted]
+    if tracked:
+        off = [_compute_tracked_error(m) for m in tracked]
+        chosen = tracked[int(np.argmax(off))] if max(off) > 0 else tracked[len(tracked) // 2]
         assert chosen.cycle.tracked is not None
         half = 2.5
         _draw_close(close, flight, 1e3 * chosen.cycle.tracked.position[:2], half, None)
@@ -101,7 +101,7 @@ def draw_errors_figure(flight: RecordedFlight) -> Figure:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -126,8 +126,8 @@ def draw_errors_figure(flight: RecordedFlight) -> Figure:
         for axes in rows[0]:
             draw_empty_note(axes, "path not reached" if flight.knows_truth else "no truth on this rig")
     draw_localization_errors(rows[1, 0], rows[1, 1], flight)
-    told = f"; dashed: mean, {off.mean():.3f}" if moments else ""
-    rows[0, 0].set_title(f"Tracking error: true robot to path, in mm{told}")
+    mean_text = f"; dashed: mean, {off.mean():.3f}" if moments else ""
+    rows[0, 0].set_title(f"Tracking error: true robot to path, in mm{mean_text}")
     rows[0, 1].set_title("The same along the path")
     rows[1, 0].set_title("Localization error in space, in mm")
     rows[1, 0].set_xlabel("time in s")
@@ -144,7 +144,7 @@ def draw_localization_errors(over_time: Axes, along: Axes, flight: RecordedFligh
     Parameters
     ----------
     over_time, along : Axes
-    flight : Flight
+    flight : RecordedFlight
     """
     mission = flight.steered
     known = [m for m in flight.trace.moments if m.cycle.trusted and m.truth]
@@ -170,7 +170,7 @@ def draw_observation_figure(flight: RecordedFlight, mission: Observation) -> Fig
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
     mission : Observation
 
     Returns
@@ -192,7 +192,7 @@ def draw_helix_figure(flight: RecordedFlight) -> Figure:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -262,9 +262,9 @@ def _draw_close(axes: Axes, flight: RecordedFlight, center: FloatArray, half: fl
     if len(truth):
         near = np.all(abs(truth[:, :2] - center) < 2.0 * half, axis=1)
         axes.plot(*np.where(near[:, None], truth[:, :2], np.nan).T, color=TRUE, lw=1.6, label="true", zorder=3)
-    heard = get_located_poses(inside)
-    if heard:
-        places = 1e3 * np.array([p.position for p in heard])
+    poses = get_located_poses(inside)
+    if poses:
+        places = 1e3 * np.array([p.position for p in poses])
         draw_dots(axes, places[:, 0], places[:, 1], 4.5, LOCATED, alpha=0.6, label="each pose", zorder=4)
     tracked = choose_spread([m.cycle.tracked for m in inside], 30)
     if tracked:

@@ -15,7 +15,7 @@ LABELS = {
     "ring-down learned": "excitation ring-down identified",
     "noise learned": "noise model identified",
 }
-"""How events are called in a report, where their name in the record says too little."""
+"""Names of events in a report, if those in the record are not clear enough."""
 
 
 def build_events_section(flight: RecordedFlight) -> Section:
@@ -23,7 +23,7 @@ def build_events_section(flight: RecordedFlight) -> Section:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -33,8 +33,8 @@ def build_events_section(flight: RecordedFlight) -> Section:
     events = flight.record.events
     recovered = {kind: times for kind, times in flight.run.recovered.items() if times}
     if recovered:
-        told = ", ".join(f"{kind.replace('_', ' ')} {times}" for kind, times in recovered.items())
-        section.add_paragraph(f"Recovered from during the run: {told}.")
+        counts = ", ".join(f"{kind.replace('_', ' ')} {times}" for kind, times in recovered.items())
+        section.add_paragraph(f"Recovered from during the run: {counts}.")
     if not events:
         return section.add_missing_note("Nothing was recorded.")
     rows: list[list[str]] = []
@@ -56,7 +56,7 @@ def build_provenance_section(flight: RecordedFlight) -> Section:
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
 
     Returns
     -------
@@ -72,8 +72,8 @@ def build_provenance_section(flight: RecordedFlight) -> Section:
     section.add(ELEMENTS.table(rows))
     if not settings:
         section.add_paragraph("No settings were laid over the files.")
-    drawn = ELEMENTS.table(flatten(world).items()) if world else "Nothing."
-    section.add(ELEMENTS.folded("What the simulated world drew, hidden from controller and localizer", drawn))
+    sampled = ELEMENTS.table(flatten(world).items()) if world else "Nothing."
+    section.add(ELEMENTS.folded("What the simulated world drew, hidden from controller and localizer", sampled))
     section.add(ELEMENTS.folded("Packages", ELEMENTS.table(sorted(packages.items()))))
     for name, content in sorted(flight.record.begin.files.items()):
         if name.endswith(".toml"):
@@ -82,9 +82,9 @@ def build_provenance_section(flight: RecordedFlight) -> Section:
 
 
 def _format_detail(detail: dict[str, object]) -> str:
-    told = {name.replace("_", " "): value for name, value in detail.items() if value not in ("", None)}
-    said = ", ".join(f"{name}: {_format_short(value)}" for name, value in told.items())
-    return said if len(said) <= _LONG else said[: _LONG - 1] + "…"
+    values = {name.replace("_", " "): value for name, value in detail.items() if value not in ("", None)}
+    text = ", ".join(f"{name}: {_format_short(value)}" for name, value in values.items())
+    return text if len(text) <= _LONG else text[: _LONG - 1] + "…"
 
 
 def _format_short(value: object) -> str:

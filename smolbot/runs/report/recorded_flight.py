@@ -55,7 +55,7 @@ class RecordedFlight:
 
         Returns
         -------
-        Flight
+        RecordedFlight
 
         Raises
         ------
@@ -76,7 +76,7 @@ class RecordedFlight:
 
         Returns
         -------
-        Flight
+        RecordedFlight
         """
         mission = record.mission() if mission is None else mission
         run, trace = record.run(), record.trace()

@@ -55,8 +55,8 @@ class FittedWindow:
     @property
     def r_squared(self) -> float:
         """R squared of this fit with equal weights; that of the flight is of whitened samples."""
-        heard = self.measured[self.used]
-        return 1.0 - float(np.sum(self.residuals**2) / np.sum(heard**2))
+        measured = self.measured[self.used]
+        return 1.0 - float(np.sum(self.residuals**2) / np.sum(measured**2))
 
 
 def fit_windows(flight: RecordedFlight, most: int = MAX_WINDOWS) -> Iterator[FittedWindow]:
@@ -64,16 +64,16 @@ def fit_windows(flight: RecordedFlight, most: int = MAX_WINDOWS) -> Iterator[Fit
 
     Parameters
     ----------
-    flight : Flight
+    flight : RecordedFlight
     most : int
         Largest number of recordings, chosen at equal steps.
 
     Yields
     ------
-    Window
+    FittedWindow
         In order of time.
     """
-    beliefs, record, mission = AssumedModels.from_mission(flight.mission), flight.record, flight.mission
+    assumed, record, mission = AssumedModels.from_mission(flight.mission), flight.record, flight.mission
     events = sorted(record.events, key=lambda event: event.time)
     played = {shot.number: shot for shot in record.played}
     chosen = [
@@ -83,16 +83,16 @@ def fit_windows(flight: RecordedFlight, most: int = MAX_WINDOWS) -> Iterator[Fit
     ]
     step = max(len(chosen) / most, 1.0)
     paper = mission.base.localization.estimator == "paper"
-    degree = Localizer(beliefs.sensors, beliefs.device, estimator="paper" if paper else "whitened")
+    degree = Localizer(assumed.sensors, assumed.device, estimator="paper" if paper else "whitened")
     for index in np.unique((np.arange(min(most, len(chosen))) * step).astype(int)):
         pose, shot = chosen[index]
         while events and events[0].time < pose.time:
-            beliefs = beliefs.with_event(events.pop(0))
+            assumed = assumed.with_event(events.pop(0))
         recording = shot.decode_recording(record.converter)
         if recording is None:
             continue
-        recording = beliefs.tails.subtract_from(shot.shot, recording)
-        yield fit_window(recording, pose, beliefs, degree.free_trend(recording))
+        recording = assumed.tails.subtract_from(shot.shot, recording)
+        yield fit_window(recording, pose, assumed, degree.free_trend(recording))
 
 
 def fit_window(recording: Recording, pose: Pose, assumed: AssumedModels, trend: int = 0) -> FittedWindow:
@@ -104,14 +104,14 @@ def fit_window(recording: Recording, pose: Pose, assumed: AssumedModels, trend: 
     ----------
     recording : Recording
     pose : Pose
-    assumed : Beliefs
+    assumed : AssumedModels
         Sensors, device and coils as assumed.
     trend : int
         Degree of the polynomial; where coils still ring, their decays are fitted as well.
 
     Returns
     -------
-    Window
+    FittedWindow
     """
     size = max(round(BLOCK_DURATION * recording.sample_rate), 1)
     n = recording.field.shape[1] // size
@@ -140,22 +140,22 @@ def fit_window(recording: Recording, pose: Pose, assumed: AssumedModels, trend: 
             apply_low_pass(compute_sensor_field(assumed.sensors, device, *place, theta), step, lag)[:, before:]
         )
 
-    heard = without(blocks)
-    swing = _fit_swing(model, heard, used, device.theta_max)
-    return FittedWindow(recording.middle, seconds, heard, model(swing), used)
+    measured = without(blocks)
+    swing = _fit_swing(model, measured, used, device.theta_max)
+    return FittedWindow(recording.middle, seconds, measured, model(swing), used)
 
 
-def _fit_swing(model: Callable[[FloatArray], FloatArray], heard: FloatArray, used: BoolArray, top: float) -> FloatArray:
+def _fit_swing(model: Callable[[FloatArray], FloatArray], data: FloatArray, used: BoolArray, top: float) -> FloatArray:
     """Fit amplitude times (cos, sin) of the phase, in rad, by Gauss-Newton from the linearized solution."""
     tiny = 1e-3 * top
     rest = model(np.zeros(2))[used]
     columns = np.column_stack([(model(tiny * axis)[used] - rest).ravel() / tiny for axis in np.eye(2)])
-    first: FloatArray = np.asarray(np.linalg.lstsq(columns, (heard[used] - rest).ravel(), rcond=None)[0])
+    first: FloatArray = np.asarray(np.linalg.lstsq(columns, (data[used] - rest).ravel(), rcond=None)[0])
     swing: FloatArray = first * min(1.0, top / max(float(np.hypot(*first)), 1e-12))
     for _ in range(_N_ITERATIONS):
         now = model(swing)[used]
         columns = np.column_stack([(model(swing + tiny * axis)[used] - now).ravel() / tiny for axis in np.eye(2)])
-        step: FloatArray = np.asarray(np.linalg.lstsq(columns, (heard[used] - now).ravel(), rcond=None)[0])
+        step: FloatArray = np.asarray(np.linalg.lstsq(columns, (data[used] - now).ravel(), rcond=None)[0])
         swing = swing + step
     return swing
 
@@ -228,7 +228,7 @@ def cut_background(recordings: list[Recording], n: int, trend: int) -> list[Floa
     for recording in recordings:
         size = max(round(BLOCK_DURATION * recording.sample_rate), 1)
         count = recording.field.shape[1] // (size * n)
-        heard = recording.field[~recording.saturated, : count * n * size]
-        for piece in heard.reshape(len(heard), count, n, size).mean(axis=3).transpose(1, 0, 2):
+        field = recording.field[~recording.saturated, : count * n * size]
+        for piece in field.reshape(len(field), count, n, size).mean(axis=3).transpose(1, 0, 2):
             found.append(piece - (piece @ basis) @ basis.T)
     return found

@@ -49,16 +49,16 @@ def find_changes(flights: list[RecordedFlight]) -> list[tuple[str, list[str | No
 
     Parameters
     ----------
-    flights : list of Flight
+    flights : list of RecordedFlight
 
     Returns
     -------
     list of tuple
         Name, and the value of each run; None for a run without it.
     """
-    told = [collect_settings(flight) for flight in flights]
-    names = dict.fromkeys(name for one in told for name in one)
-    rows = [(name, [one.get(name) for one in told]) for name in names]
+    settings = [collect_settings(flight) for flight in flights]
+    names = dict.fromkeys(name for one in settings for name in one)
+    rows = [(name, [one.get(name) for one in settings]) for name in names]
     return [(name, values) for name, values in rows if len(set(values)) > 1]
 
 

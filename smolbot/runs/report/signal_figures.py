@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 Places = npt.NDArray[np.intp]
 
 N_CHANNELS_SHOWN = 4
-"""Of the window that is shown: those that heard most."""
+"""Channels of the window that is shown: those with the largest signal."""
 
 MAX_FREQUENCY = 2000.0
-"""In Hz: above it sensors hear little."""
+"""In Hz: above it the sensors measure little."""
 
 
 def draw_fit_figure(flight: RecordedFlight, windows: list[FittedWindow], lines: FloatArray) -> Figure:
@@ -54,7 +54,7 @@ def draw_noise_figure(noise: BackgroundSpectrum) -> Figure:
 
     Parameters
     ----------
-    noise : QuietNoise
+    noise : BackgroundSpectrum
 
     Returns
     -------
@@ -135,16 +135,16 @@ def _draw_spectrum(axes: Axes, flight: RecordedFlight, windows: list[FittedWindo
         draw_empty_note(axes, "this record holds no samples")
         return
     rate, n = 1.0 / BLOCK_DURATION, min(window.residuals.shape[1] for window in windows)
-    quiet = cut_background(find_background_recordings(flight), n, 0)
-    grid, left = compute_density([window.residuals for window in windows], rate)
+    background = cut_background(find_background_recordings(flight), n, 0)
+    grid, residuals = compute_density([window.residuals for window in windows], rate)
     _, signal = compute_density([window.measured[window.used] for window in windows], rate)
     shown = (grid > 0) & (grid <= MAX_FREQUENCY)
     axes.set_yscale("log")
     axes.plot(grid[shown], 1e12 * signal[shown], color=FAINT, lw=1.2, label="measured")
-    if quiet:
-        axes.plot(grid[shown], 1e12 * compute_density(quiet, rate)[1][shown], color=TRUE, lw=3.5, alpha=0.55,
+    if background:
+        axes.plot(grid[shown], 1e12 * compute_density(background, rate)[1][shown], color=TRUE, lw=3.5, alpha=0.55,
                   label="quiet windows of the same length")  # fmt: skip
-    axes.plot(grid[shown], 1e12 * left[shown], color=LOCATED, lw=1.4, label="fit residuals")
+    axes.plot(grid[shown], 1e12 * residuals[shown], color=LOCATED, lw=1.4, label="fit residuals")
     _mark_lines(axes, lines)
     axes.set_title(
         f"Spectrum of the fit residuals, mean over {len(windows)} windows and all channels, in pT per root of Hz",

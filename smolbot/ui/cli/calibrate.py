@@ -42,10 +42,10 @@ def calibrate(
     from smolbot.ui.cli.show import show_spinner
 
     plan = CalibrationPlan(cycles, sweep_span=span_hz, sweep_points=points, repeats=repeats, height_std=1e-3 * z_std_mm)
-    with show_spinner("calibrating", quiet=json) as tell:
+    with show_spinner("calibrating", quiet=json) as log:
         found = measure(
             target, 1e-3 * z_mm, robot=robot, plan=plan, seed=seed, out=out or "{robot}_device.toml",
-            settings=parse_settings(set_), progress=tell,
+            settings=parse_settings(set_), progress=log,
         )  # fmt: skip
     _show(found, json)
     raise typer.Exit(0 if found.stops_reached else 1)

@@ -70,15 +70,15 @@ def calibrate_array(
         raise InputError("--keep is for the rig's own stage; with a TRACK there is nothing to keep.")
     settings = {key.removeprefix("rig."): value for key, value in parse_settings(set_).items()}
     config = load_rig(rig, settings or None)
-    name, believed = find_device(robot, device)
+    name, assumed = find_device(robot, device)
     path = out or Path(f"{config.name}_sensors.toml")
     check_writable(path)
     shots = (
-        record_on_stage(config, believed, poses, seed, keep)
+        record_on_stage(config, assumed, poses, seed, keep)
         if track is None
         else read_known_recordings(track, samples, config)
     )
-    used, known, left_out = select_ringing(shots, config, believed, expected_hum(config))
+    used, known, left_out = select_ringing(shots, config, assumed, expected_hum(config))
     found = calibrate_sensors(
         [s.recording for s in used], [s.pose for s in used], config.sensors, known, hum=expected_hum(config)
     )

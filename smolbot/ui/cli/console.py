@@ -63,14 +63,14 @@ def stop(
     from smolbot.ui.link.consoles import connect_to_all
     from smolbot.ui.link.frames import LinkError
 
-    told = []
+    answers = []
     silent: list[str] = []
     found = 0
     for each, sock in connect_to_all(silent):
         found += 1
         with sock:
             try:
-                told += request_stop(sock, "smolbot stop")
+                answers += request_stop(sock, "smolbot stop")
             except LinkError as error:
                 silent.append(f"{each.address}: {error}")
     rows = [
@@ -78,18 +78,18 @@ def stop(
             str(one["mission"]),
             f"stopped, outputs at zero after {one['took_ms']:.1f} ms" if one["stopped"] else "NO ANSWER",
         )
-        for one in told
+        for one in answers
     ]
     if json:
-        echo_json({"stopped": told, "silent": silent})
+        echo_json({"stopped": answers, "silent": silent})
     if rows:
         print_table("stopped", rows, err=json)
-    if silent or not all(one["stopped"] for one in told):
+    if silent or not all(one["stopped"] for one in answers):
         typer.echo("\n".join([*silent, "A mission whose console says nothing stops by itself within 2 s."]), err=True)
         raise typer.Exit(3)
     if not found:
         raise InputError("No console of this user runs, so none watches a mission. One without --live ends by Ctrl-C.")
-    if not told:
+    if not answers:
         typer.echo("No mission flies.", err=True)
 
 

@@ -42,8 +42,8 @@ def export(
     else:
         write(found, kind, target, force=force, with_samples=samples)
     size = sum(p.stat().st_size for p in ([target] if target.is_file() else target.rglob("*")))
-    said = f"{len(found.moments)} cycles, {len(found.played)} shots, {len(found.events)} events"
-    rows = [("run", said if shots is None else f"shots {shots}"), ("written", f"{target}, {size / 1e6:.1f} MB")]
+    contents = f"{len(found.moments)} cycles, {len(found.played)} shots, {len(found.events)} events"
+    rows = [("run", contents if shots is None else f"shots {shots}"), ("written", f"{target}, {size / 1e6:.1f} MB")]
     if not found.whole:
         rows.append(("not whole", "the record is torn or damaged: this is what can be read. See smolbot recover."))
     print_table(f"export {run}", rows, err=json)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, parse_settings
 
 BEGUN = "# A mission of your own. name and description are what reports call it.\n"
-"""Comment line with which a mission of `init` begins, in place of what it says of the shipped path."""
+"""Comment line with which a mission of `init` begins, in place of the description of the shipped path."""
 
 GROUPS = {
     "controllers": "controllers",
@@ -60,15 +60,15 @@ def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = N
             echo_json({"mission": mission, "go": False, "reasons": str(error).splitlines()})
         typer.echo("no-go", err=True)
         raise
-    seen = look(loaded)
-    if isinstance(seen, ObservationPreview):
-        show_observation_preview(loaded, seen, json)
+    previewed = look(loaded)
+    if isinstance(previewed, ObservationPreview):
+        show_observation_preview(loaded, previewed, json)
         return
     assert isinstance(loaded, Mission)
-    if isinstance(seen, HelixPreview):
-        _show_helix_preview(loaded, seen, json)
+    if isinstance(previewed, HelixPreview):
+        _show_helix_preview(loaded, previewed, json)
     else:
-        _show_preview(loaded, seen, json)
+        _show_preview(loaded, previewed, json)
 
 
 def _show_preview(mission: Mission, found: Preview, json: bool) -> None:
@@ -117,7 +117,7 @@ def _force_rows(mission: Mission, reach: ForceProfile | None) -> list[tuple[str,
 
 
 def _force_figures(reach: ForceProfile | None) -> dict[str, Any]:
-    """The same for ``--json``; null where the law does not say."""
+    """Collect the same for ``--json``; null if the law does not provide it."""
     import numpy as np
 
     if reach is None:
@@ -132,8 +132,8 @@ def _force_figures(reach: ForceProfile | None) -> dict[str, Any]:
 def _show_helix_preview(mission: Mission, found: HelixPreview, json: bool) -> None:
     error, margin = found.localization_error * 1e3, found.torque_margin
     turns = ", ".join(f"{t:g}" for t in found.turns)
-    told = f"not known for this robot: the law '{mission.law}' has no method tightest_bend()"
-    radius = told if found.min_radius is None else f"{found.min_radius * 1e3:.1f} mm for this robot"
+    unknown = f"not known for this robot: the law '{mission.law}' has no method tightest_bend()"
+    radius = unknown if found.min_radius is None else f"{found.min_radius * 1e3:.1f} mm for this robot"
     rows = [
         ("listening", found.listening.timeline()),
         ("a maneuver", found.maneuver.timeline()),
@@ -175,9 +175,9 @@ def _format_pace(found: Preview) -> str:
     got = f"{found.path_time:.0f} s, {found.length * 1e3 / found.path_time:.2f} mm/s on average"
     if found.requested_time is None:
         return got
-    wanted = f"{found.requested_time:.0f} s, {found.length * 1e3 / found.requested_time:.2f} mm/s"
+    requested = f"{found.requested_time:.0f} s, {found.length * 1e3 / found.requested_time:.2f} mm/s"
     late = found.path_time > 1.1 * found.requested_time
-    return f"{got}; wanted {wanted}{': more than the law can do' if late else ''}"
+    return f"{got}; wanted {requested}{': more than the law can do' if late else ''}"
 
 
 def list_(json: JsonOption = False) -> None:

@@ -32,7 +32,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 
 
 def parse_settings(pairs: list[str] | None) -> dict[str, str]:
-    """Parse the options ``--set``; ``@gains.toml`` stands for all settings in the file.
+    """Parse the options ``--set``; ``@gains.toml`` means all settings in the file.
 
     Parameters
     ----------

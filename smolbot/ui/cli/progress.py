@@ -63,7 +63,7 @@ class MissionProgress:
 
     @contextmanager
     def pause(self) -> Iterator[None]:
-        """Hide the bar while a ``with`` block prints or asks something."""
+        """Hide the bar while a ``with`` block prints or asks a question."""
         self.stop()
         try:
             yield
@@ -280,7 +280,7 @@ def show_progress(mission: AnyMission) -> Iterator[MissionProgress]:
 
     Yields
     ------
-    Shown
+    MissionProgress
         To be called with the record of each cycle.
     """
     progress = ObservationProgress(mission) if isinstance(mission, Observation) else PathProgress(mission)

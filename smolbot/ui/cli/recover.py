@@ -22,10 +22,10 @@ def recover(
     from smolbot.ui.cli.show import echo_json, print_table
 
     done = make_whole(run)
-    told = make_summary(done)
-    print_table(f"recover {run}", _make_rows(done, told), err=json)
+    summary = make_summary(done)
+    print_table(f"recover {run}", _make_rows(done, summary), err=json)
     if json:
-        echo_json(told)
+        echo_json(summary)
 
 
 def make_summary(done: Recovery) -> dict[str, Any]:
@@ -75,10 +75,10 @@ def _make_rows(done: Recovery, summary: dict[str, Any]) -> list[tuple[str, str]]
         (summary["cycles_missing_between"], "cycles before the last are missing"),
         (summary["cycles_not_recorded"], "more cycles stand in cycles.csv than in the record"),
     ]
-    said = [f"{count} {what}" for count, what in missing if count]
+    parts = [f"{count} {what}" for count, what in missing if count]
     if not summary["ended"]:
-        said.append("what the last half second before the end held, if anything")
-    rows.append(("missing", "; ".join(said) or "nothing"))
+        parts.append("what the last half second before the end held, if anything")
+    rows.append(("missing", "; ".join(parts) or "nothing"))
     if not done.needed:
         return [*rows, ("done", "nothing to recover")]
     if done.torn is not None:

@@ -58,9 +58,9 @@ def replay(
     }
     if played.changed:
         picture = out or played.record.folder / "replay.png"
-        said = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in played.changed.items())
+        changes = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in played.changed.items())
         moments = played.moments
-        draw_replay(picture, played.mission.path, played.record.moments[: len(moments)], moments, said)
+        draw_replay(picture, played.mission.path, played.record.moments[: len(moments)], moments, changes)
         found["figure"] = str(picture)
     _show(played, found, json=json)
     if not played.changed and difference is not None:

@@ -92,7 +92,7 @@ def _animate(run: Path, path: Path, seconds: float, fps: int, json: bool) -> Non
     from smolbot.runs.report.animation import make_animation
 
     made = make_animation(run, path, seconds, fps)
-    said = f"{made.seconds:.1f} s at {made.fps} pictures a second, {made.speed:.1f} times real time"
-    print_table(str(path), [("animation", said), ("size", f"{made.size / 1e6:.2f} MB")], err=json)
+    text = f"{made.seconds:.1f} s at {made.fps} pictures a second, {made.speed:.1f} times real time"
+    print_table(str(path), [("animation", text), ("size", f"{made.size / 1e6:.2f} MB")], err=json)
     if json:
         echo_json({"animation": str(path), **made.as_dict()})

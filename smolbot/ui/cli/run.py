@@ -92,8 +92,8 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         ("axis_to_path_deg", "axis against path"),
         ("tracking_error_mm", "tracking error"),
     ):
-        told: Any = s.get(key, {})
-        shown = [append_unit(f"{name} {told[name]:.2f}", get_unit(key)) for name in ("mean", "p95") if name in told]
+        values: Any = s.get(key, {})
+        shown = [append_unit(f"{name} {values[name]:.2f}", get_unit(key)) for name in ("mean", "p95") if name in values]
         if shown:
             rows.append((label, ", ".join(shown)))
     rows += make_observation_rows(s)
@@ -105,10 +105,10 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         rows.append(("coil energy", f"{s['coil_energy_j']:.0f} J"))
     if s.get("duty_peak"):
         rows.append(("coils", _format_coils(s)))
-    if told := _format_recovered(s):
-        rows.append(("recovered", told))
-    if told := _format_not_recorded(s.get("recording", {})):
-        rows.append(("not recorded", told))
+    if text := _format_recovered(s):
+        rows.append(("recovered", text))
+    if text := _format_not_recorded(s.get("recording", {})):
+        rows.append(("not recorded", text))
     rows.append(("wall time", f"{s['wall_s']:.1f} s, {s['realtime_factor']:.0f} times real time"))
     rows.append(("picture", f"{run.folder}/path.png"))
     if run.report:
@@ -122,12 +122,12 @@ def _format_coils(summary: dict[str, Any]) -> str:
     """Describe the highest duty cycle, and the coil that came nearest to its limit, counted from 20 °C."""
     duty: dict[str, float] = summary["duty_peak"]
     busiest = max(duty, key=lambda name: duty[name])
-    told = f"driven for at most {100 * duty[busiest]:.0f} % of the time ({busiest})"
+    text = f"driven for at most {100 * duty[busiest]:.0f} % of the time ({busiest})"
     peaks, limits = summary["coil_temperature_peak_c"], summary["coil_temperature_limit_c"]
     if not peaks:
-        return told
+        return text
     hottest = max(peaks, key=lambda name: (peaks[name] - 20.0) / (limits[name] - 20.0))
-    return f"{told}, {peaks[hottest]:.0f} °C at most ({hottest}; limit {limits[hottest]:g} °C)"
+    return f"{text}, {peaks[hottest]:.0f} °C at most ({hottest}; limit {limits[hottest]:g} °C)"
 
 
 def _format_recovered(summary: dict[str, Any]) -> str:

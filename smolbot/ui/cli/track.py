@@ -87,13 +87,13 @@ def track(
 
     if (corners is None) != (corners_mm is None):
         raise InputError("--corners and --corners-mm belong together: four points in the picture, and where they are.")
-    with show_bar("frames", total=None, quiet=json) as tell:
+    with show_bar("frames", total=None, quiet=json) as report:
         found = follow(
             video, fiducials=fiducials, corners=_parse_points(corners, "--corners"),
             corners_at=_si(_parse_points(corners_mm, "--corners-mm")), corners_height=_si(corners_z_mm),
             camera_height=_si(camera_height_mm), robot=robot, robot_height=_si(robot_z_mm), mark=mark,
             background=background, run=run, offset=offset_s, fps=fps, out=folder,
-            progress=lambda done, total: tell(completed=done, total=total),
+            progress=lambda done, total: report(completed=done, total=total),
         )  # fmt: skip
     print_table(found.video.name, [*_rows(found), ("written", f"{folder}: track.csv, track.json, track.png")], err=json)
     if json:
@@ -101,13 +101,13 @@ def track(
 
 
 def _rows(found: VideoTrack) -> list[tuple[str, str]]:
-    """The track, what makes it doubtful, and a run's errors against it."""
-    f, seen = found.figures, found.track
+    """Format the track, its warnings, and a run's errors against it."""
+    f, t = found.figures, found.track
     place = ", ".join(f"{1e3 * v:.0f}" for v in found.view.position)
     rows = [
         (
             "frames",
-            f"{seen.total} at {f['fps']:g} per second; robot seen in {len(seen.frames)}, hidden in {seen.hidden}",
+            f"{t.total} at {f['fps']:g} per second; robot seen in {len(t.frames)}, hidden in {t.hidden}",
         ),
         ("camera", f"{'; '.join(found.camera)}; at {place} mm"),
         ("robot", f"{found.robot}, at z = {1e3 * found.height:.2f} mm ({found.height_from})"),

@@ -35,7 +35,7 @@ def describe_state(flight: FlightState, time_: float | None = None) -> tuple[str
 
     Parameters
     ----------
-    flight : Flight
+    flight : FlightState
     time_ : float, in s, optional
         On the rig's clock; the latest unless given.
 
@@ -48,16 +48,16 @@ def describe_state(flight: FlightState, time_: float | None = None) -> tuple[str
     ended = flight.ending
     if ended is not None and (time_ is None or time_ >= flight.latest):
         return ended.status.upper(), _ENDINGS.get(ended.status, RED)
-    said = flight.find_text(time_)
-    if said is None:
+    text = flight.find_text(time_)
+    if text is None:
         return ("LEARNING" if flight.mission is not None else "STARTING"), BLUE
     if flight.is_paused(time_):
         return "PAUSED", AMBER
-    if said.mode == "track":
-        return ("APPROACHING", BLUE) if said.phase == "approach" else ("FLYING", GREEN)
-    if said.mode == "hold" and not flight.steers:
+    if text.mode == "track":
+        return ("APPROACHING", BLUE) if text.phase == "approach" else ("FLYING", GREEN)
+    if text.mode == "hold" and not flight.steers:
         return "WATCHING", GREEN
-    return _MODES.get(said.mode, (said.mode.upper(), BLUE))
+    return _MODES.get(text.mode, (text.mode.upper(), BLUE))
 
 
 def make_bar_state(
@@ -67,7 +67,7 @@ def make_bar_state(
 
     Parameters
     ----------
-    flight : Flight or None
+    flight : FlightState or None
     flying : bool
         Whether a mission is connected that can be paused.
     starting : str
@@ -85,12 +85,12 @@ def make_bar_state(
         word = ("STARTING", BLUE) if starting else ("IDLE", GREY)
         note = f"{starting} loads" if starting else "Choose a mission and start it, or open a run."
         return _fill_bar_state(word, "smolbot console", note, flying=False)
-    said = flight.find_text(time_)
+    text = flight.find_text(time_)
     values = flight.cycles.get_values(time_)
     error, progress = (values[-1, 0], values[-1, 2]) if len(values) else (math.nan, math.nan)
     allowed = flight.tolerance
     happened = flight.list_events(time_)
-    note = (said.note if said else "it listens, and learns the noise and the coils") or (
+    note = (text.note if text else "it listens, and learns the noise and the coils") or (
         happened[-1][1] if happened else ""
     )
     if flight.ending is not None and (time_ is None or time_ >= flight.latest):
@@ -134,7 +134,7 @@ class Bar:
     Parameters
     ----------
     look : callable
-        Returns what to show; see `told`.
+        Returns what to show; see `make_bar_state`.
     order : callable
         Passes an order on to every mission, without waiting.
     may_order : callable
@@ -159,7 +159,7 @@ class Bar:
         self.open = 0
 
     def answer(self, path: str) -> tuple[int, str, bytes] | None:
-        """Answer a plain request; see `door.open_viser`.
+        """Answer a plain request; see `page_access.open_viser`.
 
         Parameters
         ----------

@@ -57,7 +57,7 @@ class DrawingPanel:
     ----------
     server : viser.ViserServer
     scene : Scene
-    starting : Starting
+    starting : StartPanel
         Panel of the chosen mission.
     folder : Path
         Folder for the files of drawn missions.
@@ -140,7 +140,7 @@ class DrawingPanel:
         self._starting.preview(str(self.write()), self.said)
 
     def fly(self) -> None:
-        """Write the drawing and fly it, if its preview says go."""
+        """Write the drawing and fly it, if its preview reports go."""
         path = str(self.write())
         if self._starting.preview(path, self.said):
             self._starting.start(path, self.said)

@@ -66,7 +66,7 @@ class FiguresPanel:
 
         Parameters
         ----------
-        flight : Flight
+        flight : FlightState
         time : float, in s, optional
             On the rig's clock; the latest unless given.
         """
@@ -98,14 +98,14 @@ class FiguresPanel:
                     self._plots[key] = self._plot(title, names)
 
     def _plot(self, title: str, names: tuple[str, ...]) -> Any:
-        drawn: list[dict[str, Any]] = [{"label": "s"}]
+        series: list[dict[str, Any]] = [{"label": "s"}]
         for i, name in enumerate(names):
             dashed = {"dash": [6, 4], "stroke": "#dc2626", "points": {"show": False}}
             line = {"label": name, "width": 1.5, "stroke": get_color(name, i), "points": {"show": False}}
-            drawn.append(line | (dashed if name == ALLOWED else {}))
+            series.append(line | (dashed if name == ALLOWED else {}))
         empty = tuple(np.array([0.0, 1.0]) for _ in range(len(names) + 1))
         return self._gui.add_uplot(
-            empty, tuple(drawn), title=title, height=118, padding=(2, 10, 2, 0), scales={"x": {"time": False}},
+            empty, tuple(series), title=title, height=118, padding=(2, 10, 2, 0), scales={"x": {"time": False}},
             legend={"show": False}, axes=({"size": 32, "font": FONT}, {"size": 44, "font": FONT}),
         )  # fmt: skip
 
@@ -115,7 +115,7 @@ def collect_series(flight: FlightState, time: float | None) -> dict[str, tuple[F
 
     Parameters
     ----------
-    flight : Flight
+    flight : FlightState
     time : float or None, in s
         On the rig's clock; None for the latest.
 
@@ -146,7 +146,7 @@ def _cut_to_last(times: FloatArray, values: FloatArray) -> tuple[FloatArray, Flo
 
 
 def thin_rows(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Keep at most `SHOWN` evenly spaced rows, with the last one; returns copies.
+    """Keep at most `MAX_POINTS` evenly spaced rows, with the last one; returns copies.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def format_table(flight: FlightState, time: float | None) -> str:
 
     Parameters
     ----------
-    flight : Flight
+    flight : FlightState
     time : float or None, in s
         On the rig's clock; None for the latest.
 
@@ -179,7 +179,7 @@ def format_table(flight: FlightState, time: float | None) -> str:
     with flight.lock:
         tracked, cycles = flight.tracked.get_values(time)[-1:], flight.cycles.get_values(time)
         currents, heat = flight.currents.get_values(time)[-1:], flight.heat.get_values(time)[-1:]
-    said = flight.find_text(time)
+    text = flight.find_text(time)
     rows: list[tuple[str, object, str, bool]] = []
     if flight.steers:
         errors = cycles[:, 0][np.isfinite(cycles[:, 0])]
@@ -212,6 +212,6 @@ def format_table(flight: FlightState, time: float | None) -> str:
         rows.append(("computing", f"{np.median(compute):.1f} ms", " a cycle, median", False))
     if flight.dropped:
         rows.append(("not shown", flight.dropped, " messages were dropped", True))
-    if said is not None and said.rig:
-        rows.append(("rig", "", said.rig, False))
+    if text is not None and text.rig:
+        rows.append(("rig", "", text.rig, False))
     return panel("figures", rows)

@@ -81,17 +81,17 @@ class FlightState:
         Name to show.
     mission : Mission, Observation or None
         None until the record's first message has come.
-    tracked : Columns
+    tracked : TimeSeries
         Position in mm (3), quaternion (4), sigma in mm, whether it is trusted.
-    raw : Columns
+    raw : TimeSeries
         Position in mm (3).
-    true : Columns
+    true : TimeSeries
         Position in mm (3); empty in a world without ground truth.
-    cycles : Columns
+    cycles : TimeSeries
         Error to the path in mm (nan off the path), R², progress (0 to 1), compute time in ms.
-    currents : Columns
+    currents : TimeSeries
         Current of each actuation coil during a shot, in A; if the rig has a magnet, its turns per second.
-    heat : Columns
+    heat : TimeSeries
         Temperature of each coil with known thermal constants, in degrees Celsius.
     """
 

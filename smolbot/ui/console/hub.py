@@ -96,15 +96,15 @@ class Hub:
 
     Attributes
     ----------
-    gate : Gate
+    console_server : ConsoleServer
         Set by whoever opens it, once the hub exists.
-    live : Flight or None
+    live : FlightState or None
         The run that joined last.
     """
 
     def __init__(self, log: Log) -> None:
         self.log = log
-        self.gate: ConsoleServer | None = None
+        self.console_server: ConsoleServer | None = None
         self.file: Path | None = None
         self.live: FlightState | None = None
         self._flights: dict[MissionConnection, FlightState] = {}
@@ -116,7 +116,7 @@ class Hub:
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         """
         about = line.about
         flight = FlightState(str(about.get("mission", "a mission")))
@@ -132,7 +132,7 @@ class Hub:
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         topic : str
         time_ns : int
         data : bytes
@@ -149,20 +149,19 @@ class Hub:
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         """
-        told = line.stopped or {}
-        took = 1e3 * (told.get("zero", 0.0) - told.get("heard", 0.0))
-        self.log(
-            f"{self._flights[line].name}: stopped, outputs at zero {took:.1f} ms after the order ({told.get('asked')})."
-        )
+        report = line.stopped or {}
+        took = 1e3 * (report.get("zero", 0.0) - report.get("heard", 0.0))
+        name, asked = self._flights[line].name, report.get("asked")
+        self.log(f"{name}: stopped, outputs at zero {took:.1f} ms after the order ({asked}).")
 
     def remove_mission(self, line: MissionConnection, why: str) -> None:
         """Remove a mission; see `MissionListener`.
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         why : str
             Empty if it ended as planned.
         """
@@ -195,7 +194,7 @@ class Hub:
         words : str
             Who gives the order.
         """
-        for line in self.gate.connections if self.gate else []:
+        for line in self.console_server.connections if self.console_server else []:
             line.send_order(kind, words)
         if kind is Kind.STOP:
             for child in self._list_alive():
@@ -215,19 +214,19 @@ class Hub:
         list of dict
             For each mission: name, process, whether it stopped, and the time that it took in ms.
         """
-        lines = self.gate.connections if self.gate else []
+        lines = self.console_server.connections if self.console_server else []
         waiting = [child for child in self._list_alive() if not child.joined]
         begun = time.monotonic()
         self.order(Kind.STOP, asked)
-        told: list[dict[str, Any]] = []
+        reports: list[dict[str, Any]] = []
         for line in lines:
             line.answered.wait(max(begun + STOP_TIMEOUT - time.monotonic(), 0.0))
             name, process = line.about.get("mission"), line.about.get("process")
             answer = {"mission": name, "process": process, "stopped": line.stopped is not None or not line.open}
-            told.append({**answer, "took_ms": 1e3 * (time.monotonic() - begun)})
+            reports.append({**answer, "took_ms": 1e3 * (time.monotonic() - begun)})
         for child in waiting:
-            told.append({"mission": child.name, "process": child.process.pid, "stopped": True, "took_ms": 0.0})
-        return told
+            reports.append({"mission": child.name, "process": child.process.pid, "stopped": True, "took_ms": 0.0})
+        return reports
 
     def start(self, arguments: Sequence[str], name: str) -> ChildMission:
         """Start ``smolbot run`` as a process of its own, which joins this console.
@@ -241,7 +240,7 @@ class Hub:
 
         Returns
         -------
-        Child
+        ChildMission
 
         Raises
         ------
@@ -271,8 +270,8 @@ class Hub:
                 child.process.wait(10.0)
             except subprocess.TimeoutExpired:
                 child.process.send_signal(signal.SIGTERM)
-        if self.gate is not None:
-            self.gate.close()
+        if self.console_server is not None:
+            self.console_server.close()
 
     def _list_alive(self) -> list[ChildMission]:
         return [child for child in list(self._children) if child.process.poll() is None]

@@ -71,9 +71,9 @@ class OpenConsole:
         self.hub = Hub(Log(log))
         secret = make_secret()
         self.page = Page(self.access, self.hub, runs)
-        self.hub.gate = ConsoleServer(secret, self.hub, self.hub.stop, self.hub.log)
+        self.hub.console_server = ConsoleServer(secret, self.hub, self.hub.stop, self.hub.log)
         self.console = Console(
-            os.getpid(), self.hub.gate.port, secret, self.access.address, port, str(runs.absolute())
+            os.getpid(), self.hub.console_server.port, secret, self.access.address, port, str(runs.absolute())
         )  # fmt: skip
         self.file = self.hub.file = write_console(self.console)
 
@@ -88,11 +88,11 @@ class OpenConsole:
             End also once no mission and no page is left.
         """
         left = 0.0
-        seen = False
+        connected = False
         while not over.wait(0.25):
-            seen |= self.hub.flying
+            connected |= self.hub.flying
             left = 0.0 if self.hub.busy or self.page.bar.open else left + 0.25
-            if follow and left >= (IDLE_TIMEOUT if seen else JOIN_TIMEOUT):
+            if follow and left >= (IDLE_TIMEOUT if connected else JOIN_TIMEOUT):
                 return
 
     def close(self) -> None:

@@ -40,7 +40,7 @@ class Page:
 
     Parameters
     ----------
-    access : Door
+    access : PageAccess
     hub : Hub
     runs : Path
         Folder of the runs to browse.
@@ -142,8 +142,8 @@ class Page:
     async def _send_heartbeats(self) -> None:
         """Send heartbeats from the event loop that passes on a STOP: if it hangs, missions stop by themselves."""
         while not self._over.is_set():
-            if self.hub.gate is not None:
-                self.hub.gate.send_heartbeats()
+            if self.hub.console_server is not None:
+                self.hub.console_server.send_heartbeats()
             await asyncio.sleep(HEARTBEAT_INTERVAL)
 
     def _run(self) -> None:
@@ -167,22 +167,22 @@ class Page:
         if flight.mission is not self._drawn_mission:
             self.draw(flight.mission)
             self._shown = (-1, None)
-        seen = (flight.version, at)
-        if seen == self._shown:
+        shown = (flight.version, at)
+        if shown == self._shown:
             return
         with self.server.atomic():
             self._move_robot(flight, at)
         if turn % FIGURES_INTERVAL == 0:
-            self._shown = seen
+            self._shown = shown
             self.figures.show(flight, at)
 
     def _move_robot(self, flight: FlightState, at: float | None) -> None:
         """Move the robot, draw its traces and colour the coils."""
         with flight.lock:
             tracked, true = flight.tracked.get_values(at), flight.true.get_values(at)
-            believed, truth = _thin_points(tracked[:, :3]), _thin_points(true)
+            estimated, truth = _thin_points(tracked[:, :3]), _thin_points(true)
             currents = flight.currents.get_values(at)[-1:]
-        self.scene.draw_line("believed", believed + TRACE_OFFSET, TRACKED, 3.5)
+        self.scene.draw_line("believed", estimated + TRACE_OFFSET, TRACKED, 3.5)
         if len(flight.true):
             self.scene.draw_line("true", truth, TRUE, 2.0)
         if len(tracked):

@@ -212,7 +212,7 @@ def open_viser(
 
     Parameters
     ----------
-    access : Door
+    access : PageAccess
     pages : callable
         Answers plain requests by their path: status, content type and body, or None to leave it to viser.
     sockets : mapping

@@ -39,10 +39,10 @@ def preview(arguments: Sequence[str]) -> tuple[bool, str]:
     except subprocess.TimeoutExpired:
         return False, panel("verdict", False, [f"The preview took longer than {PREVIEW_TIMEOUT:g} s."])
     try:
-        seen: dict[str, Any] = json.loads(done.stdout)
+        found: dict[str, Any] = json.loads(done.stdout)
     except ValueError:
         return False, panel("verdict", False, done.stderr.strip().splitlines()[-12:])
-    return bool(seen["go"]), panel("verdict", seen["go"], seen.get("reasons", []), select_rows(seen))
+    return bool(found["go"]), panel("verdict", found["go"], found.get("reasons", []), select_rows(found))
 
 
 def select_rows(found_preview: dict[str, Any]) -> list[tuple[str, str]]:
@@ -79,7 +79,7 @@ def select_rows(found_preview: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def panel(kind: str, *data: object) -> str:
-    """What a panel says, as HTML.
+    """Format the text of a panel as HTML.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ def list_runs(folder: Path) -> list[str]:
     Returns
     -------
     list of str
-        Names of at most `SHOWN` folders.
+        Names of at most `MAX_RUNS` folders.
     """
     found = [path.parent for path in folder.glob(f"*/{RECORD}")]
     return [path.name for path in sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)[:MAX_RUNS]]
@@ -72,7 +72,7 @@ def read_flight(path: Path) -> FlightState:
 
     Returns
     -------
-    Flight
+    FlightState
 
     Raises
     ------
@@ -98,7 +98,7 @@ class RunsPanel:
 
     Attributes
     ----------
-    flight : Flight or None
+    flight : FlightState or None
         The recorded run that is shown.
     """
 

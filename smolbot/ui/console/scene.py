@@ -277,9 +277,9 @@ class Scene:
             Currents over the highest allowed one.
         """
         for handle, share in zip(self._coils, np.abs(shares), strict=False):
-            wanted = mix_colors(COPPER, GLOW, float(share))
-            if tuple(handle.color) != wanted:
-                handle.color = wanted
+            color = mix_colors(COPPER, GLOW, float(share))
+            if tuple(handle.color) != color:
+                handle.color = color
                 handle.opacity = REST_OPACITY + 0.4 * min(float(share), 1.0)
 
     def mark(self, name: str, points: FloatArray, color: Color) -> None:

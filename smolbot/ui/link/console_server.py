@@ -81,7 +81,7 @@ class MissionListener(Protocol):
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         """
 
     def receive_message(self, line: MissionConnection, topic: str, time_ns: int, data: bytes) -> None:
@@ -89,7 +89,7 @@ class MissionListener(Protocol):
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         topic : str
         time_ns : int
         data : bytes
@@ -101,7 +101,7 @@ class MissionListener(Protocol):
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         """
 
     def remove_mission(self, line: MissionConnection, why: str) -> None:
@@ -109,7 +109,7 @@ class MissionListener(Protocol):
 
         Parameters
         ----------
-        line : Line
+        line : MissionConnection
         why : str
             Empty if it ended as planned.
         """
@@ -122,7 +122,7 @@ class ConsoleServer:
     ----------
     secret : str
         Shared secret in hexadecimal; a peer that does not know it is refused.
-    listener : Missions
+    listener : MissionListener
     stop : callable
         Executes the order of ``smolbot stop``: takes who gives it, returns the stopped missions as JSON data.
     log : callable
@@ -146,7 +146,7 @@ class ConsoleServer:
         self._connections: list[MissionConnection] = []
         self._socket = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._socket.getsockname()[1]
-        threading.Thread(target=self._accept, name="gate", daemon=True).start()
+        threading.Thread(target=self._accept, name="console server", daemon=True).start()
 
     @property
     def connections(self) -> list[MissionConnection]:
@@ -192,9 +192,9 @@ class ConsoleServer:
             if about["role"] == "mission":
                 self._serve_mission(sock, about)
             elif about["role"] == "stop":
-                told = self._stop(str(about.get("asked", "smolbot stop")))
+                answers = self._stop(str(about.get("asked", "smolbot stop")))
                 with contextlib.suppress(OSError):
-                    sock.sendall(make_frame(Kind.STOPPED, json.dumps(told).encode()))
+                    sock.sendall(make_frame(Kind.STOPPED, json.dumps(answers).encode()))
 
     def _authenticate(self, sock: socket.socket) -> dict[str, Any]:
         """Authenticate a peer; return its description of itself."""
@@ -264,7 +264,7 @@ def request_stop(sock: socket.socket, asked: str, timeout: float = 5.0) -> list[
         kind, words = receive(sock, MAX_FRAME_SIZE)
     except OSError as error:
         raise LinkError(f"the console does not answer: {error}") from error
-    told = json.loads(words) if kind is Kind.STOPPED else None
-    if not isinstance(told, list):
+    answer = json.loads(words) if kind is Kind.STOPPED else None
+    if not isinstance(answer, list):
         raise LinkError(f"the console answers {kind.name}: {words.decode(errors='replace')}")
-    return told
+    return answer

@@ -45,7 +45,7 @@ class Console:
     runs: str
 
     def connect(self) -> socket.socket:
-        """Open a mutually authenticated connection, with `PATIENCE` as its timeout.
+        """Open a mutually authenticated connection, with `STEP_TIMEOUT` as its timeout.
 
         Returns
         -------

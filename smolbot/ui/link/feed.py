@@ -60,7 +60,7 @@ class Feed:
     about : mapping
         Description of the mission, which is sent as JSON.
     latch : Latch
-    pause : Pausing
+    pause : PauseSwitch
     clock : callable
         Returns the time in s, for the times that are sent to the console.
 
@@ -153,10 +153,10 @@ class Feed:
 
     def _execute(self, kind: Kind, words: bytes) -> None:
         if kind is Kind.STOP:
-            heard = self._clock()
+            received = self._clock()
             self._latch.trip(CONSOLE_REASON, "stopped")
-            told = {"heard": heard, "zero": self._clock(), "asked": words.decode(errors="replace")}
-            self._queue.put(make_frame(Kind.STOPPED, json.dumps(told).encode()))
+            answer = {"heard": received, "zero": self._clock(), "asked": words.decode(errors="replace")}
+            self._queue.put(make_frame(Kind.STOPPED, json.dumps(answer).encode()))
         elif kind is Kind.PAUSE:
             self._pause.hold()
         elif kind is Kind.RESUME:

@@ -60,7 +60,7 @@ def join_console(console: Console, about: Mapping[str, Any], latch: Latch, pause
     about : mapping
         Description of the mission, which is sent as JSON.
     latch : Latch
-    pause : Pausing
+    pause : PauseSwitch
 
     Returns
     -------
@@ -117,9 +117,9 @@ def _open_console(port: int | None) -> Console:
         if os.name == "posix"
         else {"creationflags": 0x00000200}  # a process group of its own
     )
-    with tempfile.TemporaryFile("w+") as said:  # not a pipe: the console goes on to write when nobody reads any more
+    with tempfile.TemporaryFile("w+") as output:  # not a pipe: the console goes on to write when nobody reads any more
         process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said, **apart
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=output, **apart
         )  # fmt: skip
         end = time.monotonic() + OPEN_TIMEOUT
         while time.monotonic() < end and process.poll() is None:
@@ -130,6 +130,6 @@ def _open_console(port: int | None) -> Console:
         if process.poll() is None:
             process.kill()
             raise InputError(f"No console opened within {OPEN_TIMEOUT:g} s.")
-        said.seek(0)
-        why = said.read().strip() or f"exit code {process.returncode}"
+        output.seek(0)
+        why = output.read().strip() or f"exit code {process.returncode}"
     raise InputError(f"No console could be opened: {why}")

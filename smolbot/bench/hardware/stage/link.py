@@ -191,12 +191,12 @@ class Link:
         """
         action = "waiting for the banner"
         end = time.monotonic() + boot
-        heard = b""
+        received = b""
         while time.monotonic() < end:
             self._write(b"\n" + format_line(0, "ID"), action)
             look = min(end, time.monotonic() + QUERY_INTERVAL)
             while (text := self._read_or_none(look, action)) is not None:
-                heard = text or heard
+                received = text or received
                 try:
                     reply = parse_reply(text)
                 except GarbledError:
@@ -206,7 +206,7 @@ class Link:
                     if (fault := find_version_fault(identity)) is not None:
                         raise self.make_error("checking the firmware's version", fault)
                     return self._discard_rest(identity, action)
-        answer = f"received only {heard[:60]!r}" if heard else "received nothing"
+        answer = f"received only {received[:60]!r}" if received else "received nothing"
         version = "version {}.{}".format(*PROTOCOL_VERSION)
         raise self.make_error(action, f"{answer} within {boot:g} s; is the firmware ({version} is needed) on it?")
 

@@ -38,12 +38,12 @@ def _search_ports(baud: int) -> Link:
 
     candidates = [p.device for p in list_ports.comports() if (p.vid, p.pid) in BOARDS]
     found: list[Link] = []
-    said: list[str] = []
+    answers: list[str] = []
     for device in candidates:
         try:
             found.append(Link(device, baud))
         except RigError as error:
-            said.append(str(error))
+            answers.append(str(error))
     if len(found) == 1:
         return found[0]
     for link in found:
@@ -60,5 +60,5 @@ def _search_ports(baud: int) -> Link:
             device="magnet stage",
         )
     raise RigError(
-        f"magnet stage: none of {len(candidates)} USB ports answers as one. {' '.join(said)}", device="magnet stage"
+        f"magnet stage: none of {len(candidates)} USB ports answers as one. {' '.join(answers)}", device="magnet stage"
     )

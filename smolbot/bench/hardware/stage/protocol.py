@@ -162,7 +162,7 @@ def parse_state(rest: tuple[str, ...]) -> StageState:
 
     Returns
     -------
-    State
+    StageState
 
     Raises
     ------

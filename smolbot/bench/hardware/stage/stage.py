@@ -92,7 +92,7 @@ class MagnetStage:
         self._command("ARM", "arming the motors")
         with self._news:
             self._armed = True
-        self._send_heartbeat_or_fail()  # where the axis stands now
+        self._send_heartbeat_or_fail()  # reads the position of the axis
 
     def turn(self, heading: float, turns: float, frequency: float) -> None:
         """Steer the axis and turn the magnet about it. Return at once.
