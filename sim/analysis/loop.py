@@ -164,16 +164,6 @@ class SampledLoop:
         """
         return float(np.max(np.abs(np.linalg.eigvals(self.close_loop(factor, late)))))
 
-    def compute_poles(self) -> ComplexArray:
-        """Return the poles of the closed loop, the largest first.
-
-        Returns
-        -------
-        ndarray of complex, shape (k,)
-        """
-        found = np.linalg.eigvals(self.close_loop())
-        return np.asarray(found[np.argsort(-np.abs(found))], dtype=np.complex128)
-
     def compute_loci(self, angles: FloatArray, late: int = 0) -> ComplexArray:
         """Return the eigenvalues of minus the open loop; at -1 the closed loop oscillates.
 
