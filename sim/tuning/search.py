@@ -30,7 +30,7 @@ STARTUP = 8
 
 @dataclass(frozen=True)
 class Problem:
-    """What is tuned, and on what.
+    """Gains to tune, and the worlds to fly them in.
 
     Attributes
     ----------
