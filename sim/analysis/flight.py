@@ -164,7 +164,7 @@ class Model:
         ----------
         state : State
         window : Window
-            Only an `Actionuate` with a current moves the robot.
+            Only an `Actuate` with a current moves the robot.
 
         Returns
         -------
