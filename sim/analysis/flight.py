@@ -109,7 +109,7 @@ class Instant:
 
 
 class Model:
-    """What a mission assumes, built once: motion of the robot, timeline of a cycle, covariance of a pose.
+    """Model that a mission's controller assumes: motion of the robot, timeline of a cycle, covariance of a pose.
 
     Parameters
     ----------

@@ -164,16 +164,6 @@ class SampledLoop:
         """
         return float(np.max(np.abs(np.linalg.eigvals(self.close_loop(factor, late)))))
 
-    def compute_poles(self) -> ComplexArray:
-        """Return the poles of the closed loop, the largest first.
-
-        Returns
-        -------
-        ndarray of complex, shape (k,)
-        """
-        found = np.linalg.eigvals(self.close_loop())
-        return np.asarray(found[np.argsort(-np.abs(found))], dtype=np.complex128)
-
     def compute_loci(self, angles: FloatArray, late: int = 0) -> ComplexArray:
         """Return the eigenvalues of minus the open loop; at -1 the closed loop oscillates.
 
@@ -323,7 +313,7 @@ def compute_margins(loop: SampledLoop) -> Margins:
 def _find_first_unstable(
     a: FloatArray, fed: FloatArray, factor: Callable[[Any], Any], share: FloatArray, nothing: float
 ) -> Any:
-    """The first of the factors at `share` that makes the loop ring on, found closely; `nothing` if none does."""
+    """Find the first of the factors at `share` that makes the loop unstable, refined; `nothing` if none does."""
 
     def unstable(x: Any) -> Any:
         matrices = a + np.asarray(factor(x))[..., None, None] * fed
@@ -354,7 +344,7 @@ def _find_delay(angles: FloatArray, loci: ComplexArray) -> float:
 
 
 def _sort_loci(loci: ComplexArray) -> ComplexArray:
-    """The loci with each of at most two columns a continuous curve."""
+    """Sort at most two columns of the loci into continuous curves."""
     if loci.shape[1] != 2:
         return loci
     out = loci.copy()
@@ -366,7 +356,7 @@ def _sort_loci(loci: ComplexArray) -> ComplexArray:
 
 
 def _count_late_cycles(loop: SampledLoop) -> int:
-    """Whole cycles by which poses may be late, up to `MOST_LATE`."""
+    """Count the cycles by which poses may be late, up to `MOST_LATE`."""
     return next(
         (late - 1 for late in range(1, MOST_LATE + 1) if loop.compute_spectral_radius(late=late) > UNSTABLE), MOST_LATE
     )

@@ -18,9 +18,9 @@ from smolbot.motion.controller import Controller, Gain
 
 @dataclass(frozen=True)
 class Weights:
-    """What counts as much as what, cycle by cycle: so far off (m), so far turned (rad), so much of a full current.
+    """Weights of the regulator: deviations of position (m), heading (rad) and current (share of full) that count alike.
 
-    By default what a tracked pose errs by, a turn that one window makes, and the room that a coil has about its mean.
+    By default the error of a tracked pose, the turn of one window, and the range of a coil's current about its mean.
     """
 
     across: float = 1e-4
@@ -207,7 +207,7 @@ def interpolate_gains(
 
 
 def _move_gain(gain: Gain, value: float, share: float) -> float:
-    """A gain moved by a share of its range, within it."""
+    """Move a gain by a share of its range, within it."""
     scale: Callable[[float], float] = math.log if gain.log else float
     low, high, now = scale(gain.low), scale(gain.high), scale(value)
     moved = min(max(now + share * (high - low), low), high)
@@ -215,7 +215,7 @@ def _move_gain(gain: Gain, value: float, share: float) -> float:
 
 
 def _compute_target(model: Model, weights: Weights) -> tuple[int, FloatArray, FloatArray]:
-    """Every how many cycles to look, feedback (n, 2, 2) of the regulator there, and arc lengths (n,)."""
+    """Compute every how many cycles to look, feedback (n, 2, 2) of the regulator there, and arc lengths (n,)."""
     count = sum(1 for _ in simulate_flight(model, model.make_controller(), keep=lambda cycle: False))
     stride = max(count // PLACES, 1)
     cycles = _linearize_flight(model, model.make_controller(), stride)[0]
@@ -226,7 +226,7 @@ def _compute_target(model: Model, weights: Weights) -> tuple[int, FloatArray, Fl
 def _linearize_flight(
     model: Model, controller: Controller, stride: int, longest: float = math.inf
 ) -> tuple[list[Cycle], float]:
-    """Linearised cycles of a flight, and its duration in s; raises `InputError` where it does not arrive in time."""
+    """Linearise a flight's cycles; return them and its duration in s; raises `InputError` if it arrives too late."""
     cycles, clock, done = [], 0.0, False
     for instant in simulate_flight(model, controller, keep=lambda cycle: cycle % stride == 0):
         clock += instant.cycle
@@ -244,7 +244,7 @@ def _compute_distance(
     model: Model, gains: Mapping[str, float], stride: int, target: FloatArray, arcs: FloatArray, weights: Weights,
     longest: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Median relative distance of a law's feedback from the regulator's, and its flight's duration; inf if it fails."""
+    """Compute the median relative distance of a law's feedback from the regulator's, and the duration; inf if late."""
     try:
         cycles, clock = _linearize_flight(model, model.make_controller(gains), stride, longest)
     except InputError:

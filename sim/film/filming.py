@@ -180,12 +180,9 @@ def _write_frames(made: Film, path: Path, fps: float, rng: np.random.Generator) 
             sharp = empty.copy()
             paint_shadow(sharp, stage, camera, looks, made.positions[i])
             u0, v0, u1, v1 = paint_robot(sharp, stage, camera, looks, made.positions[i], made.orientations[i])
-            _paste_patch(
-                frame,
-                blur_region(
-                    sharp, _find_changed_region(camera, stage, looks, made.positions[i], (u0, v0, u1, v1)), blur
-                ),
-            )
+            changed = _find_changed_region(camera, stage, looks, made.positions[i], (u0, v0, u1, v1))
+            (u0, v0, u1, v1), patch = blur_region(sharp, changed, blur)
+            frame[v0:v1, u0:u1] = patch
             if made.hidden[i]:
                 _draw_rod(frame, camera, made.positions[i])
             writer.write(noise.apply(frame))
@@ -247,11 +244,6 @@ def blur_region(image: FloatArray, region: Region, sigma: float) -> tuple[Region
     a, b = max(u0 - PADDING, 0), max(v0 - PADDING, 0)
     patch = blur_image(image[b : v1 + PADDING, a : u1 + PADDING], sigma)
     return region, patch[v0 - b : v1 - b, u0 - a : u1 - a]
-
-
-def _paste_patch(frame: FloatArray, patch: tuple[Region, FloatArray]) -> None:
-    (u0, v0, u1, v1), values = patch
-    frame[v0:v1, u0:u1] = values
 
 
 def _draw_rod(frame: FloatArray, camera: Camera, position: FloatArray) -> None:

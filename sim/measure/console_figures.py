@@ -1,7 +1,7 @@
 """How quickly a STOP on the console brings the twin's outputs to zero, and what a console costs the loop.
 
 Run it with ``python -m sim.measure.console_figures`` on a machine with nothing else to do. Twin, console, browser and
-the process that flies stay; every stop begins a fresh loop, on a rig that is opened anew. A press is timed by the
+the process that flies stay; every stop begins a new loop, on a newly opened rig. A press is timed by the
 browser when its input arrives, outputs by the twin's journal of commanded currents, both on the machine's monotonic
 clock.
 """
@@ -101,7 +101,7 @@ class ConsoleBench:
 
     @contextmanager
     def running(self) -> Iterator[ConsoleBench]:
-        """Until the block ends."""
+        """Run all of them until the block ends."""
         with ExitStack() as closing:
             self.twin: TwinControl = closing.enter_context(self._bench.running())
             closing.callback(self._end_console)

@@ -48,7 +48,7 @@ PHASES = ("before", "actuation", "listening")
 
 @dataclass
 class Outcome:
-    """What became of one case; times in s from the fault on."""
+    """Result of one case; times in s from the fault on."""
 
     fault: str
     phase: str
@@ -98,7 +98,7 @@ class Bench:
 
     @contextmanager
     def running(self) -> Iterator[TwinControl]:
-        """The twin, until the block ends."""
+        """Run the twin until the block ends."""
         command = [sys.executable, "-m", "smolbot", "twin", self.mission, "--rig", self.rig, "--control", self.control]
         log = (self.folder / "twin.log").open("w")
         process = subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, stderr=log, text=True)

@@ -85,7 +85,7 @@ class Wire:
 
 @dataclass(frozen=True)
 class Fuzzed:
-    """What a board made of lines that are no commands, with its motors armed."""
+    """Response of a board to lines that are no commands, with its motors armed."""
 
     lines: int
     steps: int

@@ -33,7 +33,7 @@ _PATIENCE = 300.0  # s for a mission to come to its moment
 
 @dataclass
 class Outcome:
-    """What one kill left.
+    """Result of one kill.
 
     Attributes
     ----------
@@ -64,13 +64,13 @@ class Outcome:
 
     @property
     def late(self) -> bool:
-        """Whether more is missing than may be."""
+        """Whether more than `ALLOWED` is missing."""
         return self.missing > ALLOWED
 
 
 @dataclass
 class VictimOutput:
-    """What a process had printed: when it began, flew and ended (s, monotonic), cycles and counts."""
+    """What a process printed before it was killed: when it began, flew and ended (s, monotonic), cycles and counts."""
 
     marks: dict[str, float] = field(default_factory=dict)
     cycles: list[tuple[float, dict[str, Any]]] = field(default_factory=list)
@@ -300,7 +300,7 @@ def fly_as_victim(folder: Path, mission: str, seed: int, settings: Mapping[str, 
 
 
 def _format_poses(record: CycleRecord) -> list[list[str] | None]:
-    """Poses as located and as believed, to the last bit, and the next currents."""
+    """Format the located and the tracked pose, to the last bit, and the next currents."""
 
     def exact(pose: Pose | None) -> list[str] | None:
         if pose is None:

@@ -72,7 +72,7 @@ def run_chunk(chunk: Chunk) -> Columns:
 
 
 def make_chunks(options: Options) -> list[Chunk]:
-    """Make chunks without and, unless one scale is given, with mismatches: then many benches, each sampled anew.
+    """Make chunks without and, unless one scale is given, with mismatches: then many newly sampled benches.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ class Volume:
 
 @dataclass(frozen=True, eq=False)
 class LayoutValue:
-    """What a layout is worth for one device, pose by pose.
+    """Errors of a layout for one device, pose by pose.
 
     Attributes
     ----------

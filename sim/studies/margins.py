@@ -6,18 +6,18 @@ import math
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sim.analysis.flight import Model, simulate_flight
 from sim.analysis.linear import Cycle, average_cycles, linearize_cycle
-from sim.analysis.loop import Margins, SampledLoop, compute_margins
+from sim.analysis.loop import SampledLoop, compute_margins
 from sim.analysis.lqr import Weights, find_closest_gains, interpolate_gains
 from sim.studies.columns import join_columns
 from sim.studies.margins_report import collect_figures, format_files, format_rows
 from sim.studies.study import Chunk, Columns, Options, Outcome, Study, cut_chunks
 from smolbot.config.mission import Mission, load_steering_mission
+from smolbot.config.plugins import load_plugin
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import InputError
 
@@ -160,7 +160,8 @@ def search_gains(chunk: Chunk) -> Columns:
     """
     model = _make_model(chunk["mission"], chunk["own_rig"], chunk["settings"])
     mission, found = model.mission, find_closest_gains(model, parse_weights(chunk["weights"]))
-    names, settings, declared = list(found.gains), dict(chunk["settings"]), _list_gains(mission)
+    names, settings = list(found.gains), dict(chunk["settings"])
+    declared = load_plugin("controllers", mission.law).gains
     start = {name: float(mission.gains.get(name, declared[name].default)) for name in names}
     before = _fly_reduced(chunk, mission, settings)
     values, share, after = found.gains, 1.0, np.zeros((0, 4))
@@ -182,13 +183,6 @@ def search_gains(chunk: Chunk) -> Columns:
         "_flown_before": before,
         "_flown_after": after,
     }
-
-
-def _list_gains(mission: Mission) -> Mapping[str, Any]:
-    from smolbot.config.plugins import load_plugin
-
-    declared: Mapping[str, Any] = load_plugin("controllers", mission.law).gains
-    return declared
 
 
 def _fly_reduced(chunk: Chunk, mission: Mission, settings: Mapping[str, str]) -> FloatArray:
@@ -267,7 +261,9 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
         "y_mm": 1e3 * np.array([c.position[1] for c in cycles]),
         "cycle_ms": 1e3 * np.array([c.duration for c in cycles]),
         "gain_margin_db": np.array([m.gain_db for m in found]),
-        "gain_reduction_margin_db": np.array([_compute_reduction(m) for m in found]),
+        "gain_reduction_margin_db": np.array(
+            [-20.0 * math.log10(m.least_gain) if m.least_gain > 0.0 else math.inf for m in found]
+        ),
         "phase_margin_deg": np.degrees([m.phase for m in found]),
         "delay_margin_cycles": np.array([m.delay for m in found]),
         "delay_margin_ms": 1e3 * np.array([m.delay for m in found]) * periods,
@@ -284,10 +280,6 @@ def conclude(options: Options, parts: list[Columns]) -> Outcome:
     }
     figures = collect_figures(load_study_mission(options), parse_weights(options.weights), table, found, gains)
     return Outcome(format_rows(figures, table), figures, table)
-
-
-def _compute_reduction(found: Margins) -> float:
-    return -20.0 * math.log10(found.least_gain) if found.least_gain > 0.0 else math.inf
 
 
 def draw(outcome: Outcome, path: Path) -> None:

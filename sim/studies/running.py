@@ -23,7 +23,7 @@ from smolbot.errors import InputError, report_write_errors
 
 
 class StudyFolder:
-    """Where a study leaves its chunks, its rows, what it was, and its figure.
+    """Folder of a study: its chunks, rows, options and figure.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a study found.
+    """Results of a study.
 
     Attributes
     ----------

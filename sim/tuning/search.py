@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,7 @@ STARTUP = 8
 
 @dataclass(frozen=True)
 class Problem:
-    """What is tuned, and on what.
+    """Gains to tune, and the worlds to fly them in.
 
     Attributes
     ----------
@@ -155,7 +155,10 @@ def run_search(
         study.enqueue_trial(dict(problem.start))
     while (left := trials - len(list_finished(study))) > 0:
         batch = [study.ask() for _ in range(min(BATCH, left))]
-        gains = [{name: _suggest_gain(trial, name, gain) for name, gain in problem.gains.items()} for trial in batch]
+        gains = [
+            {name: trial.suggest_float(name, gain.low, gain.high, log=gain.log) for name, gain in problem.gains.items()}
+            for trial in batch
+        ]
         for trial, values in zip(batch, fly_batch(study, problem, batch, gains, executor), strict=True):
             if len(values) == len(problem.worlds):
                 study.tell(trial, float(np.mean(values)))
@@ -187,11 +190,11 @@ def fly_batch(
     """
     costs: list[list[float]] = [[] for _ in batch]
     alive = list(range(len(batch)))
-    for rung in _list_rungs(problem.worlds):
+    for begin in range(0, len(problem.worlds), RUNG):
         flights: list[tuple[int, Future[Any]]] = [
             (i, executor.submit(fly_one, problem.mission, problem.rig, problem.make_settings(gains[i]), seed,
                                 problem.plant))
-            for i in alive for seed in rung
+            for i in alive for seed in problem.worlds[begin : begin + RUNG]
         ]  # fmt: skip
         for i, future in flights:
             costs[i].append(_compute_cost(future, refusable=dict(gains[i]) != dict(problem.start)))
@@ -209,12 +212,3 @@ def _compute_cost(future: Future[Any], *, refusable: bool) -> float:
         if not refusable:
             raise
         return REFUSED_COST
-
-
-def _list_rungs(worlds: Sequence[int]) -> Iterator[Sequence[int]]:
-    for i in range(0, len(worlds), RUNG):
-        yield worlds[i : i + RUNG]
-
-
-def _suggest_gain(trial: Trial, name: str, gain: Gain) -> float:
-    return trial.suggest_float(name, gain.low, gain.high, log=gain.log)

@@ -46,14 +46,14 @@ def tune(
     """
     laid = dict(settings)
     loaded = load_steering_mission(mission, rig, laid)
-    problem = _problem(loaded, mission, rig, laid, only, worlds, seed, PlantModel(plant))
+    problem = _make_problem(loaded, mission, rig, laid, only, worlds, seed, PlantModel(plant))
     if loaded.robot.kind == "gradient":
         loaded.rig.table()  # built once, before the workers need it
     forget_missions()
     if resume and out is None:
         raise InputError("--resume needs --out, the folder of the search to go on with.")
     if out is not None and not resume:
-        _make(out)
+        _make_folder(out)
     kind = f"{loaded.name} {loaded.law} {plant} seed {seed} worlds {worlds} {','.join(problem.gains)}"
     study = open_study(None if out is None else out / JOURNAL, seed, kind, resume=resume)
 
@@ -78,11 +78,11 @@ def tune(
     )  # fmt: skip
 
 
-def _problem(
+def _make_problem(
     loaded: Mission, mission: str, rig: str | None, settings: dict[str, str], only: Sequence[str] | None, worlds: int,
     seed: int, plant: PlantModel,
 ) -> Problem:  # fmt: skip
-    """What is to be tuned; raises `InputError` for a gain that the law does not have."""
+    """Build the problem; raises `InputError` for a gain that the law does not have."""
     if plant is PlantModel.REDUCED:
         from sim.reduced.rig import require_flyable
 
@@ -98,7 +98,7 @@ def _problem(
     return Problem(mission, rig, settings, chosen, start, range(first, first + worlds), plant)
 
 
-def _make(folder: Path) -> None:
+def _make_folder(folder: Path) -> None:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is not empty; name a new folder, or go on with --resume.")
     with report_write_errors(folder, done="made"):

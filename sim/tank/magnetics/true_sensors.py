@@ -134,7 +134,7 @@ class TrueSensors:
         clock : float, in s
             Time of the first sample.
         constants : ndarray, shape (n_sensors,), in T, optional
-            Of the recording that this is a part of; sampled anew if not given.
+            Of the recording that this is a part of; newly sampled if not given.
 
         Returns
         -------
