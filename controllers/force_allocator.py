@@ -124,7 +124,7 @@ class ForceAllocator:
 
     Examples
     --------
-    >>> from smolbot.config.mission import load_mission
+    >>> from smolbot import load_mission
     >>> setup = load_mission("line").setup()
     >>> allocator = ForceAllocator(setup.table, 8.0, 0.89e-3, least_field=1e-3)
     >>> here = np.array([0.008, 0.0, 0.060])

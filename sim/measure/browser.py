@@ -106,6 +106,33 @@ class Browser(Closeable):
         found = self.driver.execute_script("return document.getElementById(arguments[0])?.textContent || ''", name)
         return str(found)
 
+    def wait_for_text(self, name: str, texts: tuple[str, ...], timeout: float = 60.0) -> str:
+        """Wait until an element shows one of some texts.
+
+        Parameters
+        ----------
+        name : str
+            Its id.
+        texts : tuple of str
+        timeout : float, in s
+
+        Returns
+        -------
+        str
+            The text.
+
+        Raises
+        ------
+        TimeoutError
+            If none appeared in time.
+        """
+        end = time.monotonic() + timeout
+        while (found := self.read_text(name)) not in texts:
+            if time.monotonic() > end:
+                raise TimeoutError(f"#{name} shows '{found}', and none of {', '.join(texts)} within {timeout:g} s.")
+            time.sleep(0.1)
+        return found
+
     def compare_clocks(self) -> tuple[float, float]:
         """Compare the page's clock with the machine's monotonic clock.
 

@@ -75,7 +75,7 @@ class ReplayRig:
             played = self._record.played[index]
             if self.shorten(played.shot).windows == shot.windows:
                 self._next, self._now = index + 1, played.ended
-                recording = played.decode_recording(self._record.converter)
+                recording = played.recording(self._record.converter)
                 return None if recording is None else self._cut_to_length(played.shot, recording)
         raise RigError(f"{self._record.path}: holds no more shot like this one, at {shot.start:.3f} s: {shot}.")
 

@@ -56,7 +56,7 @@ def test_a_record_of_version_0_1_stays_readable(name):
     with unpacked(RECORDS / f"{name}.mcap.xz") as path:
         record = read_run(path)
         assert record.whole
-        assert (record.dropped, record.lost, record.messages_without_topic) == (0, 0, 0)
+        assert (record.dropped, record.lost, record.nameless) == (0, 0, 0)
         assert record.provenance["smolbot"] == "0.1.0"
         assert record.run().status == "completed"
         assert record.knows_truth

@@ -48,7 +48,7 @@ class PlayedShot:
     ended: float
     samples: pb.Samples | None
 
-    def decode_recording(self, converter: Converter) -> Recording | None:
+    def recording(self, converter: Converter) -> Recording | None:
         """Decode the samples, bit for bit as the rig returned them.
 
         Parameters
@@ -178,7 +178,7 @@ class RecordedRun(Readable):
         Recording
         """
         for played in self.played:
-            recording = played.decode_recording(self.converter)
+            recording = played.recording(self.converter)
             if recording is not None:
                 yield played, recording
 
@@ -354,7 +354,7 @@ class _RunBuilder:
             if told.heard and number not in self._samples:
                 continue  # its samples were not flushed any more
             found.played.append(PlayedShot(number, messages.decode_shot(told), told.ended, self._samples.get(number)))
-            found.played[-1].decode_recording(found.converter)  # to fail here if it must
+            found.played[-1].recording(found.converter)  # to fail here if it must
         shots = {p.number: p.shot for p in found.played}
         for number in sorted(self._timings):
             timing, parts = self._timings[number], self._parts.get(number, {})

@@ -88,7 +88,7 @@ def fit_windows(flight: RecordedFlight, most: int = MAX_WINDOWS) -> Iterator[Fit
         pose, shot = chosen[index]
         while events and events[0].time < pose.time:
             assumed = assumed.with_event(events.pop(0))
-        recording = shot.decode_recording(record.converter)
+        recording = shot.recording(record.converter)
         if recording is None:
             continue
         recording = assumed.tails.subtract_from(shot.shot, recording)
