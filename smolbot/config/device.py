@@ -143,7 +143,7 @@ def write_device(path: str | Path, config: DeviceConfig) -> None:
         ("z_mm", _rounded(height), "known height of the rotation centre during calibration"),
     ]
     device = [
-        ("moment_ma_m2", _rounded(d.moment * 1e3), "as believed: theta_max is measured as moment times angle"),
+        ("moment_ma_m2", _rounded(d.moment * 1e3), "as assumed: theta_max is measured as moment times angle"),
         ("moment_in_body", [_rounded(c) for c in d.moment_in_body], ""),
         ("l0_mm", _rounded(d.l0 * 1e3), ""),
         *((name, _rounded(v), "") for key, value, of in measured for name, v in ((key, value), (f"{key}_std", of))),

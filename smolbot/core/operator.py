@@ -80,7 +80,7 @@ class SilentOperator:
         """
         if until is None:
             raise RigError(
-                f"There is nobody to ask: '{question}'. Use smolbot run in a terminal, or pass "
+                f"No operator is present to ask: '{question}'. Use smolbot run in a terminal, or pass "
                 "operator=TerminalOperator()."
             )
         end = time.monotonic() + timeout

@@ -75,7 +75,7 @@ def find_target(
 
 
 def find_device(robot: str | None, device: str | Path | None) -> tuple[str, Device]:
-    """Name of the robot, and its device: calibrated where a device file is given, else as the robot file believes.
+    """Name of the robot, and its device: calibrated where a device file is given, else as the robot file has it.
 
     Parameters
     ----------

@@ -238,7 +238,7 @@ def calibrate(
     plan = plan or CalibrationPlan()
     if plan.sweep_span >= 0.5 * device.frequency:
         raise InputError(
-            f"Calibration sweep_span must be below half the believed frequency, {0.5 * device.frequency:g} Hz; "
+            f"Calibration sweep_span must be below half the assumed frequency, {0.5 * device.frequency:g} Hz; "
             f"got {plan.sweep_span:g}."
         )
     return _Calibrator(rig, device, height, plan, hum, progress or (lambda _: None)).run()
@@ -324,7 +324,7 @@ class _Calibrator:
             if fit.signal_to_noise > MIN_SNR:
                 points.append(SweepPoint(driven, fit.frequency, fit.frequency_std, fit.strength))
         if len(points) < 2:
-            raise SignalLostError("The device was heard in fewer than two bursts of the frequency sweep.")
+            raise SignalLostError("The device was detected in fewer than two bursts of the frequency sweep.")
         frequency, _ = compute_weighted_mean([(p.measured_frequency, p.measured_frequency_std) for p in points])
         self.device = replace(self.device, frequency=frequency)
         return points
@@ -426,7 +426,7 @@ class _Calibrator:
         pose = Localizer(sensors=self.rig.sensors, device=loose).locate(first)
         if not pose.trusted:
             raise SignalLostError(
-                f"The device rings, but no pose explains what is heard (R² {pose.r_squared:.2f}): check the sensor "
+                f"The device rings, but no pose explains the recording (R² {pose.r_squared:.2f}): check the sensor "
                 "places and axes of the rig file, and the moment's direction of the robot file."
             )
         return pose

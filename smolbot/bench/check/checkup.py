@@ -176,7 +176,7 @@ def check_rig(
     gains: list[float | None] = [None] * len(rig.sensors)
     notes: list[str] = []
     if not isinstance(rig, Prober):
-        notes.append("This rig cannot hear its own coils while they are driven: coils and relays were not checked.")
+        notes.append("This rig cannot measure its own coils while they are driven: coils and relays were not checked.")
     elif usable.sum() < MIN_SENSORS:
         notes.append(f"Fewer than {MIN_SENSORS} sensors can be relied on: coils and relays were not checked.")
     else:

@@ -174,14 +174,14 @@ def _check_sensor(measured: FloatArray, sources: FloatArray, s: int, tolerance: 
     if len(column) == 0:
         return ResponseMatch(gain, residual)
     if np.linalg.norm(column) < MIN_RESPONSE * np.linalg.norm(sources[:, s]):
-        return ResponseMatch(gain, residual, "hears no coil")
+        return ResponseMatch(gain, residual, "measures no coil")
     if gain < 0 and residual < 2 * MAX_UNEXPLAINED:
         return ResponseMatch(gain, residual, "reversed")
     others = [(j, *_fit(column, sources[:, j])) for j in range(measured.shape[1]) if j != s]
     if len(column) >= 4 and residual > MAX_UNEXPLAINED and others:
         j, other, rest = min(others, key=lambda entry: entry[2])
         if rest < MAX_UNEXPLAINED and abs(abs(other) - 1.0) < 2 * SENSOR_GAIN_TOLERANCE:
-            return ResponseMatch(gain, residual, f"hears what sensor {j} should{', reversed' if other < 0 else ''}")
+            return ResponseMatch(gain, residual, f"measures what sensor {j} should{', reversed' if other < 0 else ''}")
     if abs(gain - 1.0) > tolerance:
         return ResponseMatch(gain, residual, f"says {gain:.2f} times the field")
     if residual > 2 * MAX_UNEXPLAINED:

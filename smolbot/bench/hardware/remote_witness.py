@@ -47,7 +47,7 @@ class RemoteWitness:
             self._socket = socket.create_connection((host, int(port)), timeout=2.0)
             self._sampled: dict[str, Any] = json.loads(_read_line(self._socket))
         except (OSError, ValueError) as error:
-            raise RigError(f"no twin tells the truth at {address}: {error}.") from error
+            raise RigError(f"no twin serves ground truth at {address}: {error}.") from error
         self._socket.settimeout(None)
         self._address, self._epoch = address, epoch
         self._rows = np.zeros((1 << 16, N_COLUMNS))
@@ -90,7 +90,7 @@ class RemoteWitness:
             self._news.wait_for(lambda: self._gone or self._get_latest_time() >= requested, ROW_TIMEOUT)
             if self._count == 0 or self._get_latest_time() < requested:
                 if self._gone:
-                    raise RigError(f"The twin at {self._address} no longer tells the truth: the connection ended.")
+                    raise RigError(f"The twin at {self._address} serves ground truth no longer: the connection ended.")
                 raise InputError(f"The twin has not played {time:.3f} s yet.")
             times = self._rows[: self._count, 0]
             if requested < times[0]:

@@ -130,7 +130,7 @@ class Supply:
             If that is so, or if the supply does not report that it is on.
         """
         if not self._switch("OUTP:GEN 1", "switch the outputs on", self._refuse_unless_set):
-            raise self._fault("was told to switch the outputs on; it says that they are off.")
+            raise self._fault("was commanded to switch the outputs on; it reports that they are off.")
 
     def switch_off(self) -> None:
         """Switch every output off, until the supply is configured anew. Safe from any thread, any number of times.
@@ -148,7 +148,7 @@ class Supply:
         except RigError:  # the connection may be what failed: once more, over a new one
             still_on = self._switch("OUTP:GEN 0", "switch the outputs off (they may be on)")
         if still_on:
-            raise self._fault("was told to switch the outputs off; it says that they are on.")
+            raise self._fault("was commanded to switch the outputs off; it reports that they are on.")
 
     @property
     def is_on(self) -> bool:

@@ -64,7 +64,7 @@ class Video:
         )  # fmt: skip
         if fps is None and not (math.isfinite(stated_fps) and 0 < stated_fps < MAX_FPS):
             raise InputError(
-                f"{path}: tells a frame rate of {stated_fps:g} per second; say with --fps what it was recorded at."
+                f"{path}: states a frame rate of {stated_fps:g} per second; say with --fps what it was recorded at."
             )
         self.fps = stated_fps if fps is None else fps
         self.frames, looks = self._read_through(capture, int(promised) if promised > 0 else None)
@@ -110,7 +110,7 @@ class Video:
         capture.release()
         if promised is not None and count < promised - max(MAX_MISSING_FRAMES, promised // 200):
             raise InputError(
-                f"{self.path}: truncated: its header tells of {promised} frames, {count} can be read. "
+                f"{self.path}: truncated: its header states {promised} frames, {count} can be read. "
                 "Copy it again, or have a video tool repair it."
             )
         if count < 2 or not looks:

@@ -70,7 +70,9 @@ def export_samples(run: RecordedRun, kind: str, out: Path, shots: list[int], *, 
     missing = [number for number in shots if number not in recorded]
     if missing or not shots:
         span = f"{min(recorded)} to {max(recorded)}" if recorded else "none"
-        raise InputError(f"{run.path}: shot {missing[0] if missing else 'none'} was not heard; heard were {span}.")
+        raise InputError(
+            f"{run.path}: shot {missing[0] if missing else 'none'} has no recording; recorded were {span}."
+        )
     recordings = [recorded[number] for number in shots]
     lengths = sorted({(r.field.shape[1], r.sample_rate) for r in recordings})
     if len(lengths) > 1:

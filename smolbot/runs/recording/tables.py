@@ -65,7 +65,7 @@ def make_tables(run: RecordedRun) -> dict[str, RunTable]:
         "windows": _make_windows_table("a window of a shot, in order", "shot", shots),
         "cycles": _make_cycles_table(run, cycles),
         "poses_raw": _make_poses_table("a pose as located", [(n, c.pose) for n, c in cycles]),
-        "poses_tracked": _make_poses_table("a pose as believed", [(n, c.tracked) for n, c in cycles]),
+        "poses_tracked": _make_poses_table("an estimated pose", [(n, c.tracked) for n, c in cycles]),
         "poses_true": _make_poses_table(
             "where the device truly was at the time of the pose", [(n, m.truth) for n, m in moments]
         ),
@@ -205,7 +205,7 @@ def _make_way_table(moments: list[tuple[int, Moment]]) -> RunTable:
 
 def _make_commands_table(cycles: list[NumberedCycle]) -> RunTable:
     return RunTable(
-        "what the controller wanted next, after a cycle",
+        "the controller's command after a cycle",
         {
             "cycle": _to_ints(n for n, _ in cycles),
             "phase": [c.command.phase for _, c in cycles],
@@ -221,7 +221,7 @@ def _make_commands_table(cycles: list[NumberedCycle]) -> RunTable:
 
 def _make_events_table(run: RecordedRun) -> RunTable:
     return RunTable(
-        "something that changed what is believed",
+        "a change of device, noise model or sensors",
         {
             "time_s": _to_floats(e.time for e in run.events),
             "what": [e.what for e in run.events],

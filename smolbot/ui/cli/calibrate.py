@@ -28,7 +28,7 @@ def calibrate(
     ] = None,
     cycles: Annotated[int, typer.Option(min=2, help="Length of a burst, in periods; as missions drive it.")] = 5,
     span_hz: Annotated[
-        float, typer.Option(help="The sweep reaches so far to both sides of the believed frequency.")
+        float, typer.Option(help="The sweep reaches so far to both sides of the assumed frequency.")
     ] = 6.0,
     points: Annotated[int, typer.Option(min=2, help="Bursts of the frequency sweep.")] = 9,
     repeats: Annotated[int, typer.Option(min=2, help="Shots from which damping comes.")] = 4,
@@ -66,7 +66,7 @@ def _show(found: Calibration, json: bool) -> None:
     shown = Table(
         title=f"{found.robot} on {found.rig}, at z = {1e3 * found.height:g} mm", title_justify="left", box=None
     )
-    for title in ("", "value", "±", "believed before"):
+    for title in ("", "value", "±", "assumed before"):
         shown.add_column(title, justify="left" if not title else "right")
     for key, (value, error, before) in values.items():
         shown.add_row(key, f"{value:.4g}" if key != "frequency_hz" else f"{value:.3f}", f"{error:.2g}", f"{before:g}")
@@ -80,7 +80,7 @@ def _show(found: Calibration, json: bool) -> None:
         ("written", str(found.file)),
     ]
     if not found.stops_reached:
-        notes.append(("warning", "the stops were not reached: theta_max is no more than believed. Use longer bursts."))
+        notes.append(("warning", "the stops were not reached: theta_max is no more than assumed. Use longer bursts."))
     print_table("", notes, err=json)
     if json:
         echo_json(

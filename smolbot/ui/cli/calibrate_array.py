@@ -23,7 +23,7 @@ MAX_HELD_OUT_ERROR = 5e-3
 
 
 def calibrate_array(
-    rig: Annotated[str, typer.Option("--rig", help="Rig whose sensors heard it, by name or path.")],
+    rig: Annotated[str, typer.Option("--rig", help="Rig whose sensors recorded it, by name or path.")],
     track: Annotated[
         Path | None, typer.Argument(help="Known track: .csv, a row per recording; see above.", metavar="TRACK")
     ] = None,
@@ -140,7 +140,7 @@ def _show(
     moved = 1e3 * (found.sensors.positions - rig.sensors.positions)
     tilted = np.degrees(np.arccos(np.clip(np.sum(found.sensors.axes * rig.sensors.axes, axis=1), -1.0, 1.0)))
     tilt_std = np.degrees(np.sqrt(np.mean(found.tilt_std**2, axis=1)))
-    shown = Table(title=f"sensors of {rig.name}: what they are off by", title_justify="left", box=None, pad_edge=False)
+    shown = Table(title=f"sensors of {rig.name}: their deviations", title_justify="left", box=None, pad_edge=False)
     for title in ("sensor", "x (mm)", "y (mm)", "z (mm)", "±", "gain (%)", "±", "tilt (°)", "±"):
         shown.add_column(title, justify="right")
     for i in range(len(moved)):
@@ -154,7 +154,7 @@ def _show(
     rows = [
         ("recordings", f"{used}, of which {check.recordings} held out"),
         ("held out, rms", f"position {places[0]:.3f} → {places[1]:.3f} mm, turn {turns[0]:.3f} → {turns[1]:.3f}°"),
-        ("device", f"{robot}: {device.frequency:.3f} Hz, {device.damping:.3g} 1/s, as heard"),
+        ("device", f"{robot}: {device.frequency:.3f} Hz, {device.damping:.3g} 1/s, as measured"),
         ("in its holder", _format_triple(1e3 * holder.place, 1e3 * holder.place_std, "mm") + "; "
          + _format_triple(np.degrees(holder.turn), np.degrees(holder.turn_std), "°")),
         ("written", str(path) if path is not None else "nothing: held-out poses came out no better"),

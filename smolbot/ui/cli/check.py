@@ -233,7 +233,7 @@ def _make_sensor_table(found: Checkup) -> Table:
     grid.add_section()
     grid.add_row(*(Text(limit, "dim") for limit in limits))
     if found.coils:
-        grid.caption = "* and more where half a millimetre or half a degree changes what it hears"
+        grid.caption = "* and more where half a millimetre or half a degree changes its signal"
         grid.caption_justify = "left"
     return grid
 
@@ -244,7 +244,7 @@ def _make_coil_table(found: Checkup) -> Table:
     from smolbot.bench.check import coils, response_match
 
     grid = _make_grid(
-        "coils, each driven faintly and heard by all sensors",
+        "coils, each driven faintly and measured by all sensors",
         [
             ("coil", ""), ("probe\nmA", "right"), ("gain", "right"), ("residue\n%", "right"),
             ("closes\nms", "right"), ("opens\nms", "right"), ("time constant\nms", "right"), ("", ""),

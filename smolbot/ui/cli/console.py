@@ -85,7 +85,7 @@ def stop(
     if rows:
         print_table("stopped", rows, err=json)
     if silent or not all(one["stopped"] for one in answers):
-        typer.echo("\n".join([*silent, "A mission whose console says nothing stops by itself within 2 s."]), err=True)
+        typer.echo("\n".join([*silent, "A mission that loses its console stops by itself within 2 s."]), err=True)
         raise typer.Exit(3)
     if not found:
         raise InputError("No console of this user runs, so none watches a mission. One without --live ends by Ctrl-C.")

@@ -17,7 +17,7 @@ Row = dict[str, Any]
 
 def localize(
     samples: Annotated[Path, typer.Argument(help="Samples in V: .npz, .mat, .h5 or .csv.", metavar="SAMPLES")],
-    rig: Annotated[str, typer.Option("--rig", help="Rig whose sensors heard them, by name or path.")],
+    rig: Annotated[str, typer.Option("--rig", help="Rig whose sensors recorded them, by name or path.")],
     robot: RobotOption = None,
     device: DeviceOption = None,
     half_periods: Annotated[

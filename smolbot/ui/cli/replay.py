@@ -98,7 +98,7 @@ def _show(played: Replay, found: dict[str, Any], *, json: bool) -> None:
 
 
 _ROWS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("windows heard", ("windows",)),
+    ("windows recorded", ("windows",)),
     ("poses trusted", ("poses_trusted",)),
     ("R² (median)", ("r_squared_median",)),
     ("sigma per axis (median, mm)", ("sigma_mm_median",)),

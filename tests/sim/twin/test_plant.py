@@ -230,5 +230,5 @@ def test_truth_arrives_at_another_process_unchanged():
 def test_a_witness_without_a_twin_is_an_error():
     server = TruthServer("127.0.0.1", 0, {})
     server.close()
-    with pytest.raises(RigError, match="no twin tells the truth"):
+    with pytest.raises(RigError, match="no twin serves ground truth"):
         RemoteWitness(f"127.0.0.1:{server.port}", 0.0)

@@ -222,7 +222,7 @@ def test_swapped_sensors_are_named_as_each_other(nominal, pair):
     measured[:, [a, b]] = measured[:, [b, a]]
     coils, sensors = faults_of(nominal, measured)
     assert coils == {}
-    assert sensors == {a: f"hears what sensor {b} should", b: f"hears what sensor {a} should"}
+    assert sensors == {a: f"measures what sensor {b} should", b: f"measures what sensor {a} should"}
 
 
 def test_a_deaf_sensor_a_silent_coil_and_a_wrong_gain_are_told_apart(nominal):
@@ -234,5 +234,5 @@ def test_a_deaf_sensor_a_silent_coil_and_a_wrong_gain_are_told_apart(nominal):
     coils, sensors = faults_of(nominal, measured)
     assert coils == {"+x": coils["+x"], "-y": "makes no field"}
     assert coils["+x"].startswith("makes 0.5")
-    assert sensors == {2: sensors[2], 5: "hears no coil"}
+    assert sensors == {2: sensors[2], 5: "measures no coil"}
     assert sensors[2].startswith("says 1.5") or sensors[2].startswith("says 1.4")

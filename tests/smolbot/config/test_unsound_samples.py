@@ -245,7 +245,7 @@ def test_an_empty_file_is_refused(run, tmp_path, suffix):
     ("options", "says"),
     [
         (("--z-std-mm", "inf"), "height_std must be 0 or more, in m, and finite; got inf"),
-        (("--span-hz", 60), "sweep_span must be below half the believed frequency, 51.75 Hz; got 60"),
+        (("--span-hz", 60), "sweep_span must be below half the assumed frequency, 51.75 Hz; got 60"),
         (("--span-hz", "nan"), "sweep_span must be positive; got nan"),
         (("--out", "none/device.toml"), "--out none/device.toml: there is no folder none"),
         (("--out", "."), "--out .: is a folder; name a file"),

@@ -307,7 +307,7 @@ def test_a_switch_answers_where_nobody_does():
     assert TerminalOperator(piped(""), io.StringIO()).ask("Bring it near", 30.0, near)
     asked.clear()
     assert SilentOperator().ask("Bring it near", 30.0, near)
-    with pytest.raises(RigError, match="There is nobody to ask: 'Bring it near'"):
+    with pytest.raises(RigError, match="No operator is present to ask: 'Bring it near'"):
         SilentOperator().ask("Bring it near", 30.0)
     for operator in (SilentOperator(), TerminalOperator(piped(""), io.StringIO())):
         with pytest.raises(RigError, match=r"0\.01 s"):

@@ -167,7 +167,7 @@ def test_nothing_is_written_over_unless_told_to(run, tmp_path, smolbot):
     [
         (["--format", "xlsx"], "known: h5, csv, mat"),
         (["--format", "h5", "--shots", "a"], "numbers and ranges"),
-        (["--format", "h5", "--shots", "99999"], "was not heard"),
+        (["--format", "h5", "--shots", "99999"], "has no recording"),
         (["--format", "h5", "--shots", "0-9"], "unequal numbers of samples"),
         (["--format", "csv", "--shots", "8-9"], "holds one shot"),
         (["--format", "h5", "--out", "/proc/none/x.h5"], "cannot be written"),
