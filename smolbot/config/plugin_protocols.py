@@ -1,6 +1,6 @@
-"""What a lab's own path reader, kind of sensors and study promise; each is an entry point, checked when it is loaded.
+"""Protocols of a lab's own path readers, kinds of sensors and studies: entry points, checked when they are loaded.
 
-A lab's own controller keeps `smolbot.motion.controller.Controller`, its own world `smolbot.config.world.World`.
+A lab's own controller implements `smolbot.motion.controller.Controller`, its own world `smolbot.config.world.World`.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ class PathReader(Protocol):
     Attributes
     ----------
     has_shapes : bool
-        Whether such a file may hold several shapes, of which ``[path] element`` names one, and whether a shape may be
-        brought to a size by ``width_mm`` and ``height_mm``. Where it is false, a mission may give none of the three.
+        True if such a file may hold several shapes: ``[path] element`` selects one, ``width_mm`` and ``height_mm``
+        scale it. If it is false, a mission may give none of the three.
     """
 
     has_shapes: ClassVar[bool]
 
     @staticmethod
     def read(path: Path, element: str | None, width_mm: float | None, height_mm: float | None) -> FloatArray:
-        """Read the points of a path in the order in which they are flown.
+        """Read the points of a path in the order of travel.
 
         Parameters
         ----------
         path : Path
             The file that the mission names.
         element : str or None
-            Name of the shape that is meant.
+            Name of the shape to read.
         width_mm, height_mm : float or None, in mm
-            Size that the shape is brought to; with one of them its aspect is kept.
+            Size to which the shape is scaled; one of them alone keeps the aspect ratio.
 
         Returns
         -------
@@ -51,10 +51,10 @@ class PathReader(Protocol):
 
 
 class SensorKind(Protocol):
-    """Tells what single-axis sensors a kind of sensors amounts to; an entry point of ``smolbot.sensors``.
+    """Converts one kind of sensors to single-axis sensors; an entry point of ``smolbot.sensors``.
 
-    A rig file names it by ``[sensors] kind``, and gives the keys of `section` beside it. All that localizes, simulates
-    and checks the rig sees the single-axis sensors alone.
+    A rig file selects it by ``[sensors] kind``, and gives the keys of `section` beside it. Localization, simulation
+    and checks of the rig use the single-axis sensors only.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class SensorKind(Protocol):
 
     @staticmethod
     def expand(section: Any) -> Mapping[str, Any]:
-        """Tell which single-axis sensors these are.
+        """Convert a section to single-axis sensors.
 
         Parameters
         ----------
@@ -77,36 +77,36 @@ class SensorKind(Protocol):
         -------
         mapping
             Keys and values of ``[sensors]`` as for single-axis sensors (`smolbot.config.sensors.SensorsSection`): a
-            place in mm, an axis and, where they differ, a gain for each; sensitivity, range, bandwidth, tolerances.
+            position in mm, an axis and, where they differ, a gain for each; sensitivity, range, bandwidth, tolerances.
 
         Raises
         ------
         ValueError
-            If the values do not go together; its text follows file and line.
+            If the values are inconsistent; the message puts file and line before its text.
         """
 
 
 class StudyPlugin(Protocol):
-    """A study of `smolbot study`; an entry point of ``smolbot.studies``, where an object is named, not its class.
+    """A study of `smolbot study`; an entry point of ``smolbot.studies`` that names an object, not a class.
 
-    `sim.studies.Study` keeps it: a lab makes one of its own functions, and omits what has a default there.
+    `sim.studies.Study` implements it: a lab builds one from its own functions, and omits fields with a default.
 
     Attributes
     ----------
     name, title : str
-        What it is called on the command line, and in tables.
+        Its names on the command line and in tables.
     devices : callable
         Returns the devices that it studies, by name.
     estimators : tuple of str
-        Those that are used where none is asked for.
+        Those that are used if none is requested.
     mission : bool
-        Whether it is of a mission's loop, which is then given on the command line.
+        True if it studies the loop of a mission, which is then given on the command line.
     rig_of : callable or None
         Returns the rig that is described beside the results; None for the one of ``--rig``.
     files : callable or None
-        Returns texts that are left beside the figure, by file name.
+        Returns the contents of text files to write beside the figure, by file name.
     notes : mapping
-        Kept in ``study.json``.
+        Stored in ``study.json``.
     """
 
     name: ClassVar[str]
@@ -124,7 +124,7 @@ class StudyPlugin(Protocol):
         Parameters
         ----------
         options : sim.studies.Options
-            What was asked for on the command line.
+            Options of the command line.
 
         Returns
         -------
@@ -133,13 +133,13 @@ class StudyPlugin(Protocol):
         """
 
     def conclude(self, options: Any, parts: list[Any]) -> Any:
-        """Sum up.
+        """Combine the results of the pieces.
 
         Parameters
         ----------
         options : sim.studies.Options
         parts : list of sim.studies.Columns
-            What the pieces returned, in their order.
+            Results of the pieces, in their order.
 
         Returns
         -------

@@ -21,10 +21,10 @@ PROTOCOLS = {
     "studies": "smolbot.config.plugin_protocols:StudyPlugin",
     "estimators": "smolbot.localization.estimator:PoseEstimator",
 }
-"""By group, the protocol that its entry points keep, loaded when needed; those of other groups are callable."""
+"""Protocol of the entry points of each group, imported when needed; entry points of other groups are callables."""
 
 _CALLED = {"studies": "study", "path_readers": "path reader", "sensors": "kind of sensors"}
-"""What messages call an entry point of a group, where that is not the group's name without its last letter."""
+"""Name of a group's entry point in messages, where it is not the group's name without its last letter."""
 
 _OURS = {"controllers", "sim", "lookup_tables"}
 _POSITIONAL = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
@@ -53,7 +53,7 @@ def list_plugins(group: str) -> list[str]:
 
 
 def load_plugin(group: str, name: str) -> Any:
-    """Load the entry point `name` of ``smolbot.<group>``, and check that it keeps the protocol of that group.
+    """Load the entry point `name` of ``smolbot.<group>``, and check that it implements the protocol of that group.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def load_plugin(group: str, name: str) -> Any:
     Raises
     ------
     PluginError
-        If none has that name, if a foreign package shadows the one that it lives in, or if it breaks its protocol.
+        If none has that name, if a foreign package shadows its package, or if it breaks its protocol.
     """
     found, kind = _find_entry_points(group).get(name), _CALLED.get(group, group[:-1])
     if found is None:
@@ -87,18 +87,18 @@ def load_plugin(group: str, name: str) -> Any:
 
 
 def check_protocol(plugin: object, protocol: type, what: str) -> None:
-    """Check that a plug-in has every method and attribute of a protocol, and that its methods can be called so.
+    """Check that a plug-in has every method and attribute of a protocol, and that its methods take its arguments.
 
-    Of a class, only its own attributes are looked for: those that a protocol names ``ClassVar``.
+    For a class, only the attributes that a protocol marks ``ClassVar`` are checked.
 
     Parameters
     ----------
     plugin : object
-        A class, or an object that keeps the protocol itself.
+        A class, or an object that implements the protocol itself.
     protocol : type
         A subclass of `typing.Protocol`.
     what : str
-        What the message calls the plug-in: its group, name and place.
+        Description of the plug-in in the message: its group, name and location.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def _protocol_faults(plugin: object, protocol: type) -> Iterator[str]:
             if (name.startswith("_") and name != "__init__") or not callable(getattr(base, name)):
                 continue
             if name == "__init__" and (member.__name__ != name or not isinstance(plugin, type)):
-                continue  # one that the protocol does not define, or of an object that is made already
+                continue  # the protocol does not define one, or the plug-in is an instance
             static = isinstance(member, staticmethod | classmethod)
             asked = _parameters(base, name, of_class=static)
             call = f"{name}({', '.join(map(_spelled, asked))})"
@@ -156,7 +156,7 @@ def _parameters(owner: object, name: str, *, of_class: bool) -> list[Parameter]:
 
 
 def _signature_faults(found: list[Parameter], asked: list[Parameter]) -> Iterator[str]:
-    """Why a method that takes `found` cannot be called with what is `asked` for."""
+    """List why a method with the parameters `found` cannot be called with those of the protocol, `asked`."""
     kinds, names = {p.kind for p in found}, [p.name for p in found]
     places = [p for p in found if p.kind in _POSITIONAL]
     given = [p for p in asked if p.kind in _POSITIONAL]
@@ -170,10 +170,10 @@ def _signature_faults(found: list[Parameter], asked: list[Parameter]) -> Iterato
         if theirs.default is not Parameter.empty and mine.default is Parameter.empty:
             yield f"cannot do without '{mine.name}'"
     by_name = {p.name for p in asked if p.kind is Parameter.KEYWORD_ONLY}
-    options = any(p.kind is Parameter.VAR_KEYWORD for p in asked)  # whatever is asked for by name may be among them
+    options = any(p.kind is Parameter.VAR_KEYWORD for p in asked)  # any keyword may be among them
     for p in (*places[len(given) :], *(p for p in found if p.kind is Parameter.KEYWORD_ONLY and not options)):
         if p.default is Parameter.empty and p.name not in by_name:
-            yield f"needs '{p.name}', which it is not given"
+            yield f"needs '{p.name}', which is not passed"
     if Parameter.VAR_KEYWORD not in kinds:
         wanted = [p for p in asked if p.kind is Parameter.VAR_KEYWORD or (p.name in by_name and p.name not in names)]
         yield from (f"lacks the parameter '{_spelled(p)}'" for p in wanted)
@@ -215,7 +215,7 @@ def load_world(name: str, document: Document) -> Any:
 def _load_entry_point(point: EntryPoint) -> Any:
     try:
         return point.load()
-    except Exception as error:  # whatever a foreign module does when it is imported
+    except Exception as error:  # a foreign module may raise anything on import
         package = point.value.split(":")[0].split(".")[0]
         group = point.group.removeprefix("smolbot.")
         raise PluginError(_explain(package, point, error), group=group, name=point.name) from error

@@ -1,4 +1,4 @@
-"""The protocol that every kind of rig keeps, for checking and opening rigs."""
+"""The protocol that every kind of rig implements, for checking and opening rigs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class World(Protocol):
         Returns
         -------
         str or None
-            None if it can, or if the world does not know.
+            None if it can, or if that is unknown.
         """
 
     @staticmethod
@@ -65,7 +65,7 @@ class World(Protocol):
 
 @runtime_checkable
 class StagedWorld(Protocol):
-    """A world that can also bring a device to known places over its sensors, by which these are calibrated."""
+    """A world that can also move a device to known poses above its sensors, to calibrate these."""
 
     @staticmethod
     def stage(rig: RigConfig, device: Device, seed: int) -> CalibrationStage:
@@ -75,7 +75,7 @@ class StagedWorld(Protocol):
         ----------
         rig : RigConfig
         device : Device
-            What sits in its holder.
+            The device in its holder.
         seed : int
             Of a simulated world.
 

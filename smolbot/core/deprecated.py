@@ -1,6 +1,6 @@
 """Old import paths, which work for one more release, each with a warning that names the new one.
 
-`MOVED` is all there is to edit: a row for each old path. A row that names no object stands for all names of a module.
+To add an old path, add a row to `MOVED`. A row without an object covers all names of a module.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from types import ModuleType
 from typing import Any
 
 MOVED = {
-    # documented at a module of its own before it had a public path
+    # documented under the path of its module before it had a public path
     "smolbot.runs.run:CycleRecord": "smolbot.runs:CycleRecord",
     "smolbot.runs.run:Event": "smolbot.runs:Event",
     "smolbot.runs.recording.reader:RecordedRun": "smolbot.runs:RecordedRun",
@@ -90,12 +90,12 @@ MOVED = {
 """Old path and new one, ``module:name`` each."""
 
 _OURS = ("smolbot", "controllers", "lookup_tables", "sim")
-_NAMING_OPCODES = ("IMPORT_FROM", "LOAD_ATTR", "LOAD_METHOD")  # and not found by a pickle, which knows no other path
+_NAMING_OPCODES = ("IMPORT_FROM", "LOAD_ATTR", "LOAD_METHOD")  # not a lookup by pickle, which has the old path only
 _MODULES = {old.partition(":")[0] for old in MOVED}
 
 
 class _OldPath(ModuleType):
-    """A module that moved, or some of whose names did: a use of them by other packages warns."""
+    """A module that moved in full or in part: another package that uses an old path of it gets a warning."""
 
     def __getattribute__(self, name: str) -> Any:
         names = ModuleType.__getattribute__(self, "__dict__")
@@ -107,9 +107,9 @@ class _OldPath(ModuleType):
             return ModuleType.__getattribute__(self, name)
         caller = sys._getframe(1)
         importer = caller.f_globals.get("__name__")
-        package = str(caller.f_globals.get("__package__") or importer)  # a program of ours has __main__ for its name
+        package = str(caller.f_globals.get("__package__") or importer)  # our own programs are named __main__
         is_named = opname[caller.f_code.co_code[caller.f_lasti]] in _NAMING_OPCODES
-        gone = name not in names and importer != "importlib._bootstrap"  # which only tests whether there is such a name
+        gone = name not in names and importer != "importlib._bootstrap"  # which only tests for the name
         if gone or (is_named and package.partition(".")[0] not in _OURS):
             message = f"{module}.{name} is now {new.replace(':', '.')}; the old path ends with the next release."
             warnings.warn(message, DeprecationWarning, stacklevel=2)
@@ -117,14 +117,14 @@ class _OldPath(ModuleType):
 
 
 class _EmptyLoader(Loader):
-    """Loads a module that no longer exists: it has nothing but old paths."""
+    """Loads a module that no longer exists and has old paths only."""
 
     def exec_module(self, module: ModuleType) -> None:
         module.__class__ = _OldPath
 
 
 class _WatchingLoader(SourceFileLoader):
-    """Loads a module that still exists, and watches over its old paths."""
+    """Loads a module that still exists, and makes its old paths warn."""
 
     def exec_module(self, module: ModuleType) -> None:
         super().exec_module(module)
@@ -150,13 +150,13 @@ class _Finder(MetaPathFinder):
 
 
 def _find(path: str) -> Any:
-    """The object at a new path of `MOVED`."""
+    """Import the object at a new path of `MOVED`."""
     module, _, name = path.partition(":")
     return getattr(import_module(module), name)
 
 
 def install() -> None:
-    """Let old paths be found, also those of modules that are loaded already; once."""
+    """Make old paths importable, also those of modules that are already loaded; safe to repeat."""
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Finder())
     for loaded in _MODULES & sys.modules.keys():

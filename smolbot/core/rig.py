@@ -1,6 +1,6 @@
 """The interface between control software and the physical or simulated world.
 
-A rig plays shots and returns recordings; a witness, if there is one, knows the true pose.
+A rig plays shots and returns recordings; a witness, if there is one, gives the true pose.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from smolbot.core.shots import Shot
 
 @runtime_checkable
 class Witness(Protocol):
-    """Protocol of what knows the true pose. Recorder and report use it, never the loop's estimators.
+    """Protocol of a source of the true pose. Recorder and report use it, never the loop's estimators.
 
     Examples
     --------
@@ -37,7 +37,7 @@ class Witness(Protocol):
         Parameters
         ----------
         time : float, in s
-            On the rig's clock; only times already played are known.
+            On the rig's clock; only times already played are available.
 
         Returns
         -------
@@ -67,9 +67,9 @@ class CalibrationStage(Protocol):
 
 @runtime_checkable
 class Rig(Protocol):
-    """Protocol of a world that plays shots. The tank, the bench and the twin all keep it.
+    """Protocol of a world that plays shots. The tank, the bench and the twin all implement it.
 
-    A rig may also keep the protocols below, all of which are optional: `RecoveryCounter`, `StatusReporter`,
+    A rig may also implement the protocols below, all of which are optional: `RecoveryCounter`, `StatusReporter`,
     `ProvenanceReporter`, `Checkable`.
 
     Examples
@@ -201,5 +201,5 @@ class Checkable(Protocol):
         Yields
         ------
         CheckItem
-            A device that does not answer gives an item that is not ok.
+            Not ok for a device that does not answer.
         """

@@ -1,7 +1,7 @@
 """Windows and shots: everything that acts on the world, as data.
 
 A shot is a short, immutable tuple of windows. It is either electrical (played by the DAQ as one
-hardware-timed waveform) or mechanical (played by the magnet stage), and listens at most once.
+hardware-timed waveform) or mechanical (played by the magnet stage), and has at most one listening window.
 """
 
 from __future__ import annotations

@@ -59,18 +59,18 @@ def make_loop(
     latch : Latch, optional
         Tripping it stops the run, from any thread.
     heat_memory : HeatMemory, optional
-        Coil temperatures that earlier runs left; without it, the coils start cold.
+        Coil temperatures at the end of earlier runs; without it, the coils start cold.
     tape : RecorderSink, optional
         Receives every shot and every event.
     pause : Pause, optional
         Holding it pauses the run, from any thread.
     controller : Controller, optional
-        Controller to fly instead of the one that the mission names.
+        Controller to use instead of the one that the mission names.
 
     Returns
     -------
     Loop
-        To be flown with `Loop.fly`, or stepped in a ``with`` block.
+        Run it with `Loop.fly`, or step it in a ``with`` block.
     """
     device, cycle = mission.robot.device, mission.cycle
     tracker, pilot = (
@@ -105,7 +105,7 @@ def make_safety(
     latch : Latch, optional
         Stop latch of the run; a new one unless given.
     heat_memory : HeatMemory, optional
-        Coil temperatures that earlier runs left; without it, the coils start cold.
+        Coil temperatures at the end of earlier runs; without it, the coils start cold.
 
     Returns
     -------

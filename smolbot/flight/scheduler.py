@@ -1,6 +1,6 @@
 """Planning of shots: actuation interleaved with localization, search for a lost signal, and pauses.
 
-Where a magnet has to come and go, actuation is a shot of its own.
+Where a magnet must approach and retract, actuation is a separate shot.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ class Scheduler:
     cycle : Cycle
     limits : Limits
     belief : DeviceBelief
-        The device as assumed; shots are made for its `scheduled`.
+        The assumed device; shots are made for its `scheduled`.
     excitation_field : callable
         Converts a position (3,) in m to the assumed field (2, 3) of the excitation coils in T per A.
     clock : callable
@@ -174,7 +174,7 @@ class Scheduler:
             yield Shot((Listen(half_periods, frequency),), "quiet", self._clock())
 
     def make_probe_shots(self) -> Iterator[Shot]:
-        """Make one shot for each excitation coil that excites off resonance and listens as early as it may.
+        """Make one shot for each excitation coil that excites off resonance and listens as early as the limits allow.
 
         Yields
         ------

@@ -65,9 +65,9 @@ class Oscillation(Protocol):
 
 
 class PoseEstimator(Protocol):
-    """Protocol of pose estimators. An entry point of ``smolbot.estimators`` names a class that keeps it.
+    """Protocol of pose estimators. An entry point of ``smolbot.estimators`` names a class that implements it.
 
-    An estimator is immutable: everything that a flight learns makes a new one. `PoseEstimatorBase` has all methods
+    An estimator is immutable: each value that a run learns needs a new one. `PoseEstimatorBase` has all methods
     but `locate`.
 
     Parameters
@@ -206,7 +206,7 @@ class PoseEstimatorBase:
     ...     def locate(self, recording, prior=None):
     ...         return prior
     >>> from smolbot.config.plugins import check_protocol
-    >>> check_protocol(Nowhere, PoseEstimator, "Nowhere")  # raises nothing: it keeps the protocol
+    >>> check_protocol(Nowhere, PoseEstimator, "Nowhere")  # raises nothing: it implements the protocol
     """
 
     learns: ClassVar[frozenset[str]] = frozenset()

@@ -33,14 +33,14 @@ MIN_R_SQUARED = 0.7
 """R² below which a fit explains too little of the signal to be trusted."""
 
 MIN_AMPLITUDE = 0.05
-"""Amplitude, as a share of the stop's, below which a swing is not stronger than a mains line."""
+"""Amplitude, as a share of that at the stops, below which a swing is not stronger than a mains line."""
 
 TREND_HALF_PERIODS = (6.0, 10.0)
-"""Half-periods from which a slope, and a slope and a curvature, are free in every channel: each costs at most 1.5 %
-of the bound there. They are caused by tools that move past, or by motion of the device."""
+"""Length, in half-periods, from which a slope is fitted in every channel, and from which a curvature is too. Each costs
+at most 1.5 % of the bound there. Passing tools, or motion of the device, cause such trends."""
 
 FALLBACK_TREND = 1
-"""Degree of the polynomial in a short window that is not explained otherwise."""
+"""Degree of the polynomial that is fitted to a short window whose misfit is large without it."""
 
 MAX_MISFIT = 3.0
 """Variance of whitened residuals above which they contain more than noise."""
@@ -67,8 +67,8 @@ RESIDUAL_SIGMAS = 4.0
 _WITHOUT_PHASE = np.ix_([0, 1, 2, 3, 4, 5, 7], [0, 1, 2, 3, 4, 5, 7])
 
 MAX_ROLL = 1.0
-"""The same, in rad, for the turn about the moment in consecutive segments: it is measured through the cantilever's
-length alone."""
+"""Standard deviation, in rad, of the turn about the moment above which a pose of consecutive segments is not trusted:
+only the cantilever's length determines that turn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,7 @@ class Swing:
         Returns
         -------
         ArrayTerms or None
-            None where there is none.
+            None if the recording gives none.
         """
         return compute_array_terms(self._problem, self._fit, frames)
 
@@ -170,12 +170,12 @@ class Localizer(PoseEstimatorBase):
     ----------
     sensors : SensorArray
     device : Device
-        As assumed. A localizer is immutable: a device that was learned needs a new one.
+        As assumed. A localizer is immutable: learned values of the device need a new one.
     noise : NoiseModel, optional
         Learned from recordings of background noise; without it a typical one is assumed. Only ``whitened`` uses it.
     estimator : {"whitened", "paper"}
         ``whitened``: generalised least squares under the noise model, all channels, a free constant in each.
-        ``paper``: the paper's chain with an unweighted Levenberg-Marquardt fit (Eqs. S2 to S8, S20 to S23).
+        ``paper``: the paper's signal chain with an unweighted Levenberg-Marquardt fit (Eqs. S2 to S8, S20 to S23).
     volume : SearchVolume
         Where a cold start searches, and where a trusted pose may lie.
     transients : tuple of float, in s
@@ -318,7 +318,7 @@ class Localizer(PoseEstimatorBase):
         return self._make_pose(problem, fits, recording, prior)
 
     def free_trend(self, recording: Recording) -> int:
-        """Choose the degree of the polynomial that is left free in every channel: the highest at a negligible cost.
+        """Choose the degree of the polynomial that is fitted in every channel: the highest at a negligible cost.
 
         Parameters
         ----------
@@ -336,10 +336,10 @@ class Localizer(PoseEstimatorBase):
 
         An incomplete last segment is left out.
 
-        One drive causes the oscillation in all of them, so the amplitude is learned along the way. Each fit starts
-        from the pose of the segment before; the first from `prior`, or cold if there is none or its fit fails. A
-        device that moves within a segment changes its static field too; where that is detected, a slope in every
-        channel is left free as well.
+        One drive causes the oscillation in all of them, so the amplitude estimate is updated from segment to segment.
+        Each fit starts from the pose of the segment before; the first from `prior`, or cold if there is none or its
+        fit fails. A device that moves within a segment changes its static field too; where that is detected, a slope
+        is also fitted in every channel.
 
         Parameters
         ----------
@@ -407,7 +407,7 @@ class Localizer(PoseEstimatorBase):
         ----------
         recording : Recording
         trend : int
-            Degree of the polynomial that is free in every channel; see `make_whitened_model`.
+            Degree of the polynomial that is fitted in every channel; see `make_whitened_model`.
 
         Returns
         -------

@@ -93,7 +93,7 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything a controller may know of its world: model parameters, never ground truth.
+    """Everything that a controller is given: model parameters, never ground truth.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class HelixSetup:
-    """Everything the controller of a helical robot may know of its world: model parameters, never ground truth.
+    """Everything that the controller of a helical robot is given: model parameters, never ground truth.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ class Command:
     saturated : bool
         True if a limit reduced the command.
     note : str
-        For people, and for the record.
+        Remark for the user and the record.
     progress : float, in m
         Arc length of the path that was covered. Optional, but needed to analyse the controller's margins.
     phase : {"approach", "follow"}
@@ -215,7 +215,7 @@ class ForceProfile:
 class Controller(Protocol):
     """Protocol of controllers. One is made per mission, from a setup and its gains.
 
-    A controller may also keep the protocols below, all of which are optional: `RobotKinds`, `ForceForecast`,
+    A controller may also implement the protocols below, all of which are optional: `RobotKinds`, `ForceForecast`,
     `BendForecast`, `PlaybackAware`.
 
     Parameters
@@ -327,7 +327,7 @@ class PlaybackAware(Protocol):
     """A controller that learns from the effect of its commands."""
 
     def unplayed(self) -> None:
-        """Forget the last command: it was not played, since the loop was paused or had lost the signal."""
+        """Discard the last command: it was not played, since the loop was paused or had lost the signal."""
 
 
 def robot_kinds(law: type[Controller]) -> tuple[str, ...]:

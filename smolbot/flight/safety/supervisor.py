@@ -72,7 +72,7 @@ class Safety:
     latch : Latch, optional
         Stop latch of the run; a new one unless given.
     heat_memory : HeatMemory, optional
-        Coil temperatures that earlier runs left; without it, the coils start cold.
+        Coil temperatures at the end of earlier runs; without it, the coils start cold.
 
     Attributes
     ----------
@@ -232,7 +232,7 @@ class Safety:
         if shot.mode == "quiet" or not any(isinstance(w, Actuate | Rotate) for w in shot.windows):
             return
         if pose is None:
-            self._trip("Lost pose: a shot would drive the robot before it was ever seen. Nothing was played.")
+            self._trip("Lost pose: a shot would drive the robot before it was ever located. Nothing was played.")
             return
         sigma = math.sqrt(max(float(pose.covariance[i, i]) for i in range(3)))
         self._uncertain = self._uncertain + 1 if sigma > rules.max_sigma else 0
@@ -308,9 +308,9 @@ class Safety:
         listened = 0.0 if shot.listen is None else shot.listen.duration  # `clock` is the start of the recording
         age = now - recording.clock - listened
         if early > max(_MAX_EARLY, 0.5 * shot.duration):
-            return f"the recording began {early:.3f} s before it was asked for"
+            return f"the recording began {early:.3f} s before it was requested"
         if age > self.rules.max_age:
-            return f"the recording was {age:.2f} s old when it came (max_age_ms = {1e3 * self.rules.max_age:g})"
+            return f"the recording was {age:.2f} s old on arrival (max_age_ms = {1e3 * self.rules.max_age:g})"
         return ""
 
 

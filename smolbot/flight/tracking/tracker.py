@@ -41,14 +41,14 @@ START_AMPLITUDE, START_AMPLITUDE_STD = 0.75, 0.3
 """Amplitude of a new track and its standard deviation, as shares of the stops."""
 
 RESTART_MISSES, RESTART_DISTANCE, RESTART_AGREEMENT = 3, 2e-3, 0.95
-"""The track restarts after this many misses where two rejected poses agree: distance (m), and squared product of the
-quaternions."""
+"""The track restarts after this many misses if two rejected poses agree: largest distance (m), and smallest squared
+dot product of their quaternions."""
 
 INNOVATION_OLD, INNOVATION_NEW, MAX_INNOVATION_SCALE = 0.95, 0.05, 25.0
 """Weights of the exponential average of the innovation's size, and its upper bound."""
 
 MOTION_ERROR_SHARE = 0.3
-"""Standard deviation of a predicted motion, as a share of it: drag, gain, alignment."""
+"""Standard deviation of a predicted motion, as a share of it: errors of drag, gain and alignment."""
 
 MODEL_FLOOR = np.array([5e-5, 5e-5, 5e-5, 4e-3, 4e-3, 4e-3, 2e-3])
 """Standard deviation of every pose due to errors of the sensor array, per axis (m, rad, share of the amplitude)."""
@@ -57,17 +57,17 @@ PROCESS_NOISE_DENSITY = np.array([5e-5, 5e-5, 3e-5, 2e-2, 2e-2, 2e-2])
 """Process noise per square root of a second, per axis (m, rad), of a robot at a surface."""
 
 SCREW_STEP_STD = np.array([0.35, 0.1, 0.1])
-"""Standard deviation of a predicted advance of a helix, as shares of it: along the axis (step-out), across, above."""
+"""Standard deviation of a predicted advance of a helix, as shares of it: along the axis (step-out), sideways, up."""
 
 MAGNET_MOVE_STD = 1e-3
-"""Standard deviation (m) of a helix's advance while the magnet comes and goes: half a pitch."""
+"""Standard deviation (m) of a helix's advance while the magnet approaches and retracts: half a pitch."""
 
 SCREW_TURN_STD = np.array([np.radians(180.0), np.radians(6.0), np.radians(5.0), 0.3])
 """Standard deviations after turns of a helix: roll (rad; unknown), elevation (rad), azimuth (rad), and azimuth as a
 share of the predicted turn."""
 
 MAX_START_ANGLE_STD = 0.6
-"""Standard deviation of the orientation (rad) above which it is no start for a fit."""
+"""Standard deviation of the orientation (rad) above which no fit starts from it."""
 
 AMPLITUDE_STD = 0.02
 """Relative standard deviation of the drive's amplitude from one shot to the next."""
@@ -219,7 +219,7 @@ class Tracker:
         -------
         Pose or None
             The tracked pose at the pose's time (or the shot's end), None before the first pose.
-            A shot that does not listen moves the robot, but is no miss.
+            A shot without a listening window moves the robot, but does not count as a miss.
         """
         if shot.listen is None:
             if self._state is not None and self._last is not None:

@@ -215,12 +215,12 @@ class HalfWorld:
 
 
 BROKEN = [
-    ("rigs", UnboundWorld, "unfit() needs 'robot', which it is not given; it is called as unfit(rig, robot)"),
+    ("rigs", UnboundWorld, "unfit() needs 'robot', which is not passed; it is called as unfit(rig, robot)"),
     ("controllers", WithoutCommand, "it has no method command(pose)"),
     ("controllers", Ungained, "it has no attribute 'gains', ClassVar[Mapping[str, Gain]]"),
     ("controllers", ShortReset, "reset() lacks the parameter 'pose'; it is called as reset(path, pose)"),
     ("controllers", Turned, "reset() takes them in another order, (pose, path); it is called as reset(path, pose)"),
-    ("controllers", Greedy, "command() needs 'speed', which it is not given; it is called as command(pose)"),
+    ("controllers", Greedy, "command() needs 'speed', which is not passed; it is called as command(pose)"),
     ("controllers", Unmade, "__init__() lacks the parameter 'gains'; it is called as __init__(setup, gains)"),
     ("controllers", Plain, "it has no method command(pose)"),
     (
@@ -306,7 +306,7 @@ def test_a_world_that_opens_what_is_no_rig_is_refused_before_anything_is_played(
     assert said.startswith("What world 'tank' opens breaks its protocol, smolbot.core.rig.Rig: it has no attribute")
     for fault in (
         "it has no attribute 'witness', Witness | None",
-        "play() needs 'slowly', which it is not given; it is called as play(shot)",
+        "play() needs 'slowly', which is not passed; it is called as play(shot)",
         "it has no method excitation_field(position)",
     ):
         assert fault in said

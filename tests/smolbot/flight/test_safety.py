@@ -167,8 +167,8 @@ def test_a_shot_that_does_not_listen_loses_no_window():
 @pytest.mark.parametrize(
     ("early", "now", "words"),
     [
-        (0.5, 0.2, r"began 0.500 s before it was asked for"),
-        (0.0, 3.0, r"was 2.87 s old when it came \(max_age_ms = 1000\)"),
+        (0.5, 0.2, r"began 0.500 s before it was requested"),
+        (0.0, 3.0, r"was 2.87 s old on arrival \(max_age_ms = 1000\)"),
     ],
 )
 def test_a_recording_of_another_time_counts_as_lost(early, now, words):

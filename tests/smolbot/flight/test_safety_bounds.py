@@ -99,7 +99,7 @@ def test_looking_for_a_robot_and_learning_coils_need_no_pose():
     ):
         safety.check_shot(shot, 0.0, None)
         safety.check_shot(shot, 1.0, a_pose())
-    with pytest.raises(SafetyError, match=r"Lost pose: .* before it was ever seen. Nothing was played."):
+    with pytest.raises(SafetyError, match=r"Lost pose: .* before it was ever located. Nothing was played."):
         safety.check_shot(pulling(), 2.0, None)
     turning = a_safety()
     with pytest.raises(SafetyError, match="Lost pose"):
@@ -113,7 +113,7 @@ def test_a_robot_that_is_only_looked_at_may_not_be_outside_either():
     )
 
 
-@pytest.mark.parametrize(("late", "words"), [(0.0, ""), (2.0**-20, r"was 0.50 s old when it came (max_age_ms = 500)")])
+@pytest.mark.parametrize(("late", "words"), [(0.0, ""), (2.0**-20, r"was 0.50 s old on arrival (max_age_ms = 500)")])
 def test_a_recording_ages_from_its_end_and_is_of_use_up_to_the_longest_age(late, words):
     safety, shot = a_safety(SafetyRules(max_age=0.5, stale_shots=1)), pulling(start=16.0)
     listens = shot.start + 0.125 + 0.03125
@@ -137,7 +137,7 @@ def test_a_shot_may_begin_half_of_itself_early_and_by_some_hundredths_of_a_secon
         listens = shot.start + shot.duration - LISTEN.duration
         got = safety.check_recording(shot, make_recording(listens - early), shot.end)
         assert (got is not None) == fine
-    with pytest.raises(SafetyError, match=f"the recording began {early:.3f} s before it was asked for"):
+    with pytest.raises(SafetyError, match=f"the recording began {early:.3f} s before it was requested"):
         safety.check_recording(shot, make_recording(listens - early), shot.end)
 
 
