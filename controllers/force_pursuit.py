@@ -97,7 +97,7 @@ class ForcePursuit:
         if self._pace is not None and progress.leg >= 0:
             distance = min(distance, self._pace.compute_stride(pose.time, progress.arc_length))
             if distance <= 0.0:
-                return Command(None, note="ahead of the wanted speed", progress=progress.progress, phase=phase)
+                return Command(None, note="ahead of the requested speed", progress=progress.progress, phase=phase)
         heading = (pose.rotation @ self.setup.device.moment_in_body)[:2]
         turn = abs(float(np.arctan2(heading[0] * way[1] - heading[1] * way[0], heading @ way)))
         duration = compute_actuation_time(turn, self._t_min, self._t_max, self._sharp)

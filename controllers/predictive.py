@@ -30,23 +30,24 @@ MAX_ROLLOUT_STEP = 7.5e-3
 """Longest step of a rollout, in s."""
 
 REFINED_STARTS, GAUSS_NEWTON_STEPS = 2, 6
-"""Starts that are improved, and by how many Gauss-Newton steps at most."""
+"""Number of starts that are refined, and the most Gauss-Newton steps for each."""
 
 HEADING_SPACING, EXTRA_HEADINGS = 2.5e-4, 12
-"""Distance in m of the places at which a heading is planned, and how many of the next leg's are put to a leg's end."""
+"""Spacing, in m, of planned headings along the path, and how often the next leg's first one is appended to a leg."""
 
 HUBER_KNEE = 0.5
-"""Wrong heading, in rad, beyond which its cost grows linearly."""
+"""Heading error, in rad, beyond which its cost grows linearly."""
 
 TWO_WINDOW_DISTANCE = 1e-3
 """From this distance to a corner, in m, and in every turn, the window after the next is planned too."""
 
 MAX_URGENCY, EASED_URGENCY = 8.0, 4.0
-"""By how much going on and turning may gain weight, cycle by cycle, while a plan does neither; beyond the first, the
-robot is pulled straight to a point ahead, beyond the second a leg's end counts as reached from three times as far."""
+"""Thresholds of the urgency, a factor on the weights of progress and heading that grows with each plan that neither
+advances nor turns: at the first, the robot is pulled straight to a point ahead; from the second on, a leg's end counts
+as reached from three times as far."""
 
 RESCUE_FORCE = 80e-6
-"""Pull, in N, to a point ahead."""
+"""Force, in N, with which it is pulled to a point ahead."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +70,8 @@ class Predictive:
         J = sum_w  n^2 (d(t_w / 2)^2 / 4 + d(t_w)^2)            distance from the path, half way and at the end
                  + f^2 (s_w* - s_w)^2                           arc length still missing to the requested one
                  + h^2 rho(psi_w - psi_path(s_w + a))           heading against the path's, a little ahead
-                 + p^2 tail_w^2                                 way that the robot is pushed tail first
-                 + c^2 max(0, 1 - |B_w| / B_least)^2            weakness of the field, whose direction errs the more
+                 + p^2 tail_w^2                                 distance that the robot is pushed tail first
+                 + c^2 max(0, 1 - |B_w| / B_least)^2            weak field, whose direction is less certain
                  + q^2 sum_k (I_wk / I_max)^2                   heat
 
         subject to  I_min <= I_wk <= I_max,
@@ -80,8 +81,8 @@ class Predictive:
     ===========  =============================================================================================
     n            1 / (1 + (sigma / confidence_mm)^2), sigma of the pose in the plane: how firmly to correct
     s_w*         s_0 + w n stride, up to the leg's end; stride: distance per window at speed_mm_s or the path's speed
-    f            forward, times (full stride / stride) and the hurry, which grows while plans go nowhere
-    h, a         heading_mm times the hurry, ahead_mm
+    f            forward, times (full stride / stride) and the urgency, which grows while plans do not advance
+    h, a         heading_mm times the urgency, ahead_mm
     p            1, or 0 with tail_first
     c, B_least   firm_mm, least_field_mt
     q            heat_mm
@@ -89,7 +90,7 @@ class Predictive:
 
     d, s, psi, tail and B follow from I by a model that turns the robot against viscous drag, bends the cantilever up
     to its stop, and pulls it by the true force on its moment (`smolbot.motion.kernels`). So it turns before it pulls,
-    without a rule of its own. Mobility, agility and drift of the model are learned from the measured motion of each
+    without a separate rule. Mobility, agility and drift of the model are learned from the measured motion of each
     window (`controllers.adaptation`).
 
     Parameters
@@ -109,11 +110,9 @@ class Predictive:
         "heat_mm": Gain(0.02, 0.001, 0.3, True, meaning="distance from the path that weighs as much as a full current"),
         "confidence_mm": Gain(0.2, 0.02, 2.0, True, meaning="uncertainty of a pose that halves correction and speed"),
         "handover_mm": Gain(0.25, 0.05, 2.0, True, meaning="distance at which start, corners and end count as reached"),
-        "least_field_mt": Gain(
-            1.5, 0.05, 5.0, True, meaning="field below which a robot is not sure to turn as planned"
-        ),
+        "least_field_mt": Gain(1.5, 0.05, 5.0, True, meaning="field below which a robot may not turn as planned"),
         "firm_mm": Gain(0.1, 0.001, 1.0, True, meaning="distance from the path that weighs as much as no field at all"),
-        "turn_s": Gain(0.15, 0.01, 2.0, True, meaning="time that a turn of 1 rad is taken to cost"),
+        "turn_s": Gain(0.15, 0.01, 2.0, True, meaning="assumed time of a turn of 1 rad"),
         "tail_first": Gain(0.0, 0.0, 1.0, meaning="1: may be pushed tail first, which reaches further"),
     }
 
@@ -197,22 +196,22 @@ class Predictive:
         progress = self._progress
         if progress is None:
             raise InputError("predictive has no path yet: call reset first.")
-        # 1. What the last window did, against what was planned
+        # 1. Compare the effect of the last window with its plan
         heading = self._compute_heading(pose)
         self._learn(pose, heading)
-        # 2. Where on the path; a leg's end that is hard to reach counts as reached from farther away
+        # 2. Find the place on the path; a leg's end that is hard to reach counts as reached from farther away
         eased = 3.0 if self._hurry >= EASED_URGENCY else 1.0
         progress.locate(pose.position, min(eased * self._handover, self.setup.tolerance))
         if progress.done:
             return Command(None, note="path's end reached", progress=progress.progress, done=True)
         phase: Phase = "approach" if progress.leg < 0 else "follow"
-        # 3. How far to go in this window, by the law's speed and the path's
+        # 3. Distance to cover in this window, by the law's speed and the path's
         stride = self._speed * self._window
         if self._pace is not None and phase == "follow":
             stride = min(stride, self._pace.compute_stride(pose.time, progress.arc_length))
             if stride <= 0.0:
-                return Command(None, note="ahead of the wanted speed", progress=progress.progress, phase=phase)
-        # 4. The best currents, and remarks on them
+                return Command(None, note="ahead of the requested speed", progress=progress.progress, phase=phase)
+        # 4. The best currents, and a note on them
         duration, currents, gone, turning = self._plan_window(pose, heading, progress, stride)
         sent = currents.tolist()
         limits = zip(sent, self._low.tolist(), self._high.tolist(), strict=True)
@@ -281,19 +280,19 @@ class Predictive:
         origin = at[:2]
         b = np.ascontiguousarray(field[:, 0, :2])
         g = np.ascontiguousarray(gradient[:, 0, :2, :2])
-        # 2. The leg, and whether a window more is looked ahead: in turns, before a corner, and after idle plans
+        # 2. The leg, and whether to plan a second window: in turns, before a corner, and after idle plans
         points, arc, first, last, guess, headings = self._make_route(pose, heading, progress)
         index = min(int((guess - float(arc[first])) / HEADING_SPACING), len(headings) - 2)
         turning = abs(_wrap_angle(heading - headings[index])) > HUBER_KNEE
         windows = 2 if turning or self._hurry > 1.0 or arc[last] - guess < TWO_WINDOW_DISTANCE else 1
-        # 3. Weights of the cost: n by the pose's covariance, f and h by the hurry
+        # 3. Weights of the cost: n by the pose's covariance, f and h by the urgency
         sigma = math.sqrt(max(float(pose.covariance[0, 0] + pose.covariance[1, 1]), 0.0))
         doubt = 1.0 / (1.0 + (sigma / self._confidence) ** 2)
         weights = self._weights.copy()
         weights[PATH_DISTANCE] *= doubt
         weights[MISSING_PROGRESS] *= self._hurry
         weights[HEADING] *= self._hurry
-        weights[MISSING_PROGRESS] *= self._speed * self._window / stride  # the same fraction missing, the same weight
+        weights[MISSING_PROGRESS] *= self._speed * self._window / stride  # equal fractions missing cost the same
         # 4. The model as it was learned, in places relative to `origin`
         body = pack_robot(self.setup.robot)
         body[DRAG] /= self._adaptation.mobility
@@ -317,14 +316,14 @@ class Predictive:
             starts = currents[None]  # the best currents of the other duration are similar
         assert best is not None
         _, duration, currents, ends = best
-        # 6. Keep the plan for `_learn`: what a mobility of 1 moves, without drift and without the centre's own swing
+        # 6. Keep the plan for `_learn`: the motion at mobility 1, without drift and without the centre's own swing
         x, y, after = ends[0].tolist()
         center = self.setup.robot.center_ahead
         swung = -center * np.array([math.cos(after) - c, math.sin(after) - v])
         step = np.array([x - state[0], y - state[1]])
         moved = (step - drift * duration - swung) / self._adaptation.mobility
         self._planned = _Plan(pose, heading, moved, swung, after - heading, currents[0])
-        # 7. Progress along the path; plans that go nowhere and turn nothing are hurried, at last by a plain pull
+        # 7. Progress along the path; plans that neither advance nor turn raise the urgency, up to a plain pull
         goal = points[min(int(np.searchsorted(arc, guess, side="right")), last)]
         here = goal[0] - place[0], goal[1] - place[1]
         gone = float(step[0] * here[0] + step[1] * here[1]) / max(math.hypot(*here), 1e-9)
@@ -369,7 +368,7 @@ class Predictive:
         return np.array([place, progress.points[0]]), np.array([0.0, length]), 0, 1, 0.0, headings
 
     def _with_last(self, windows: int) -> FloatArray:
-        """Return the last plan and the usual starts, each held for so many windows, shape (m, windows, n_coils)."""
+        """Return the last plan and the usual starts, each repeated for all windows, shape (m, windows, n_coils)."""
         starts = self._starts[windows]
         if self._planned is None:
             return starts[1:]

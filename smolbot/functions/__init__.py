@@ -1,4 +1,4 @@
-"""What a program or a notebook calls; the command line is a shell over it. Public as names of `smolbot` itself."""
+"""Functions for programs and notebooks; the command line wraps them. Public as names of `smolbot` itself."""
 
 from lazy_loader import attach_stub
 

@@ -1,4 +1,4 @@
-"""``calibrate``: a device measured on a rig that is opened for it."""
+"""``calibrate``: open a rig and measure a device on it."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ def calibrate(
     robot : str, optional
         By name or path; by default the mission's, or ``gradient``.
     plan : CalibrationPlan, optional
-        How long bursts are, and how many.
+        Length and number of bursts.
     seed : int
         Of a simulated tank.
     out : path, optional
         Device file to write; none is written without it. ``{robot}`` in it is replaced by the robot's name.
     settings : mapping of str to str, optional
-        Laid over the files, keys with dots.
+        Override the files; keys with dots.
     progress : callable, optional
-        Told what is being done, a sentence at a time.
+        Called with a sentence at each step.
     **overrides
         Settings with ``__`` for the dot.
 

@@ -51,7 +51,7 @@ class LocatedShot(Readable):
 
     @property
     def trusted(self) -> bool:
-        """Whether there is a pose, and it may be trusted."""
+        """Whether there is a trusted pose."""
         return self.pose is not None and self.pose.trusted
 
     def row(self) -> dict[str, Any]:
@@ -88,11 +88,11 @@ class Localization(Readable):
     device : str or None
         The device file that was used; None for the values of the robot file.
     quiet : str or None
-        What the noise was learned from; None where it is the localizer's own.
+        File from which the noise was learned; None for the localizer's default.
     estimator : str
     sample_rate : float, in Hz
     shots : int
-        How many the file holds.
+        Number of shots in the file.
     poses : tuple of LocatedShot
         In order, one for each shot or segment.
     """
@@ -109,7 +109,7 @@ class Localization(Readable):
 
     @property
     def trusted(self) -> int:
-        """How many of the poses may be trusted."""
+        """Number of trusted poses."""
         return sum(pose.trusted for pose in self.poses)
 
     def table(self) -> dict[str, np.ndarray[Any, Any]]:
@@ -147,9 +147,9 @@ def localize(
     device : path, optional
         Device file, as `calibrate` writes it.
     half_periods : int, optional
-        Use the first so many half-periods of each shot.
+        Number of half-periods to use from the start of each shot.
     superfast : int, optional
-        A pose from every so many half-periods of each shot.
+        Half-periods in each segment of a shot, for a pose from every segment.
     estimator : str, optional
         ``whitened`` or ``paper``; by default the localizer's own.
     quiet : path, optional
@@ -209,7 +209,7 @@ def make_localizer(
 
     Returns
     -------
-    tuple of Localizer, Quiet or None
+    tuple of Localizer, BackgroundNoise or None
 
     Raises
     ------
@@ -225,14 +225,14 @@ def make_localizer(
 def locate_all(
     localizer: Localizer, shots: SampleRecordings, half_periods: int | None = None, segments: int | None = None
 ) -> tuple[LocatedShot, ...]:
-    """Locate all shots in order, each with the last trusted pose as prior; one without a pose keeps its place.
+    """Locate all shots in order, each with the last trusted pose as prior; one without a pose keeps its row.
 
     Parameters
     ----------
     localizer : Localizer
     shots : SampleRecordings
     half_periods : int, optional
-        Use so many half-periods of each shot; all of them if not given.
+        Number of half-periods to use from each shot; by default all.
     segments : int, optional
         Half-periods in each segment, for a pose from every segment.
 
@@ -243,7 +243,7 @@ def locate_all(
     Raises
     ------
     InputError
-        If the recordings are shorter than what is asked for, or no shot could be fitted at all.
+        If the recordings are shorter than requested, or no shot could be fitted.
     """
     located: list[LocatedShot] = []
     faults: list[str] = []

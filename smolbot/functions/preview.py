@@ -1,4 +1,4 @@
-"""``preview``: a mission of either kind timed on paper."""
+"""``preview``: predict a mission of either kind without a rig."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ AnyPreview = Preview | HelixPreview | ObservationPreview
 
 
 def preview(mission: str | AnyMission, rig: str | None = None, **overrides: Any) -> AnyPreview:
-    """Time a mission on paper and fly it once on the controller's own model; opens nothing.
+    """Compute a mission's timing and simulate it once on the controller's own model; opens no rig.
 
     Parameters
     ----------
     mission : str, Mission or Observation
-        Shipped name, path of a mission file, or a mission that was loaded.
+        Shipped name, path of a mission file, or a loaded mission.
     rig : str, optional
         A rig to use instead of the mission's own.
     **overrides
-        Settings laid over the mission file, with ``__`` for the dot: ``controller__tolerance_mm=0.5``.
+        Settings that override the mission file, with ``__`` for the dot: ``controller__tolerance_mm=0.5``.
 
     Returns
     -------
     Preview, HelixPreview or ObservationPreview
-        Of a robot that coils pull, of one that a rotating magnet drives, of a device that is only watched.
+        For a robot that coils pull, one that a rotating magnet drives, or a device that is only observed.
 
     Raises
     ------
@@ -41,8 +41,8 @@ def preview(mission: str | AnyMission, rig: str | None = None, **overrides: Any)
     Examples
     --------
     >>> import smolbot
-    >>> seen = smolbot.preview("line")
-    >>> seen.go, round(seen.duration)
+    >>> predicted = smolbot.preview("line")
+    >>> predicted.go, round(predicted.duration)
     (True, 25)
     """
     loaded = load_mission(mission, rig, merge_settings(None, overrides)) if isinstance(mission, str) else mission

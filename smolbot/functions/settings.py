@@ -1,4 +1,4 @@
-"""Settings laid over a mission's files, from a call's keywords."""
+"""Settings that override a mission's files, from a call's keywords."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Mapping
 from typing import Any
 
 DEFAULT_ROBOT = "gradient"
-"""Robot where nothing names another."""
+"""Robot that is used if none is named."""
 
 
 def merge_settings(settings: Mapping[str, str] | None, overrides: Mapping[str, Any]) -> dict[str, str]:
-    """Settings as files are read with, from those that are written that way and from keywords of a call.
+    """Merge settings in the form of files with those from keywords of a call.
 
     Parameters
     ----------
     settings : mapping of str to str, optional
         ``{"controller.tolerance_mm": "0.5"}``, values as TOML writes them.
     overrides : mapping of str to object
-        Keywords, with ``__`` for the dot; they win.
+        Keywords, with ``__`` for the dot; they take precedence.
 
     Returns
     -------

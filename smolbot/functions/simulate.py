@@ -1,4 +1,4 @@
-"""``simulate``: one mission over many seeds; what it promises and returns. It lives in the package ``sim``."""
+"""``simulate``: one mission over many seeds; its interface and results. The package ``sim`` implements it."""
 
 from __future__ import annotations
 
@@ -67,10 +67,9 @@ class Flight(Readable):
     summary : dict
         Its figures, as ``run --json`` prints them.
     trail : ndarray, shape (n, 3), in m
-        Where the robot truly went.
+        True positions of the robot.
     process : int
-        Which process flew it, and had it done at `ended`, in s since the epoch, and at `used`, in s of its processor
-        time.
+        Process that ran it; it ended at `ended`, in s since the epoch, and at `used`, in s of the process's CPU time.
     """
 
     summary: dict[str, Any]
@@ -127,7 +126,7 @@ class Simulation(Readable):
     flights_per_minute : mapping of str to float or None
         ``in_all``; ``warm`` once all processes run; ``per_processor`` in use.
     folder : Path or None
-        Where results.csv and the figure are; None if none were asked for.
+        Folder of results.csv and the figure; None if not requested.
     """
 
     mission: str
@@ -139,7 +138,7 @@ class Simulation(Readable):
 
     @property
     def passed(self) -> int:
-        """How many flights passed."""
+        """Number of flights that passed."""
         return sum(flight.passed for flight in self.flights)
 
     @property
@@ -197,7 +196,7 @@ class Simulation(Readable):
 
 
 class Simulate(Protocol):
-    """What the entry point ``simulate`` of ``smolbot.functions`` keeps; see `simulate` for the parameters."""
+    """Protocol of the entry point ``simulate`` of ``smolbot.functions``; see `simulate` for the parameters."""
 
     def __call__(
         self, mission: str, seeds: Iterable[int], *, rig: str | None, plant: PlantName, jobs: int,
@@ -220,7 +219,7 @@ def simulate(
     progress: Callable[[Flight], None] | None = None,
     **overrides: Any,
 ) -> Simulation:
-    """Fly a mission in a simulated tank once per seed, each a tank drawn anew.
+    """Fly a mission in a simulated tank once per seed, with mismatches sampled anew for each.
 
     Parameters
     ----------
@@ -240,9 +239,9 @@ def simulate(
     out : path, optional
         Folder to make for results.csv, the figure and the files; none is made without it.
     settings : mapping of str to str, optional
-        Laid over the files, keys with dots.
+        Override the files; keys with dots.
     progress : callable, optional
-        Told of each flight as it ends, in any order.
+        Called with each flight as it ends, in any order.
     **overrides
         Settings with ``__`` for the dot.
 

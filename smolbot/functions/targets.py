@@ -16,7 +16,7 @@ from smolbot.localization.device.thinning import Hum
 
 
 def check_writable(path: Path) -> None:
-    """Refuse a file that cannot be written before time is spent on what it shall hold.
+    """Refuse a file that cannot be written, before its content is computed.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def check_writable(path: Path) -> None:
 def find_target(
     target: str, robot: str | None, settings: dict[str, str] | None = None
 ) -> tuple[RigConfig, RobotConfig, tuple[float, float]]:
-    """Find rig, robot and its start position (x, y), in m: under the middle, or a mission's start.
+    """Find rig, robot and its start position (x, y), in m: the container's middle, or a mission's start.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def find_target(
     robot : str or None
         By name or path; None for the mission's, or `DEFAULT_ROBOT`.
     settings : dict, optional
-        Laid over the mission file, or over the rig file with or without ``rig.``.
+        Override the mission file, or the rig file with or without ``rig.``.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def find_target(
     Raises
     ------
     InputError
-        If a name is neither a rig nor a mission; lists what there is.
+        If a name is neither a rig nor a mission; the message lists both.
     """
     settings = settings or {}
     rigs, missions = list_shipped("rigs"), list_shipped("missions")
@@ -75,7 +75,7 @@ def find_target(
 
 
 def find_device(robot: str | None, device: str | Path | None) -> tuple[str, Device]:
-    """Name of the robot, and its device: calibrated where a device file is given, else as the robot file has it.
+    """Find the robot's name and device: from the device file if one is given, else from the robot file.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def find_device(robot: str | None, device: str | Path | None) -> tuple[str, Devi
 
 
 def expected_hum(rig: RigConfig) -> Hum:
-    """Mains lines as the rig file expects them.
+    """Return the mains lines that the rig file states.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""``track``: a robot found in a video from above, and a run's errors against it."""
+"""``track``: find a robot in a video from above, and compare a run with it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from smolbot.runs.optics.track_errors import compute_tracking_error
 from smolbot.runs.optics.video import Video, read_picture
 from smolbot.runs.optics.view import CLICK_SIGMA, View, check_points, find_view
 
-MAX_OFFSET_SIGMA = 0.05  # s: a less certain start of a video is reported: a tenth of a millimetre of a robot's way
+MAX_OFFSET_SIGMA = 0.05  # s: a less certain start of a video is reported; a robot moves 0.1 mm in this time
 MIN_PIXELS_PER_MM = 9.0  # films of the tank are tracked well from 10 on; at 8 headings err by 13°, at 6 fits jump
 MAX_STILL_SHARE = 0.4  # of the frames: with half of them the median shows the robot, not the scene
 MAX_VIEW_SIGMA = 1e-4  # m: a less certain camera is reported
@@ -34,7 +34,7 @@ MAX_VIEW_SIGMA = 1e-4  # m: a less certain camera is reported
 
 @dataclass(frozen=True, repr=False)
 class VideoTrack(Readable):
-    """A robot's track in a video, and what came of a comparison with a run.
+    """A robot's track in a video, and its comparison with a run.
 
     Attributes
     ----------
@@ -44,15 +44,15 @@ class VideoTrack(Readable):
     height : float, in m
         z at which it was searched; `height_from` states the source of that value.
     camera : tuple of str
-        How the camera's place was found.
+        How the camera's pose was found.
     view : View
-        What maps places to pixels.
+        Mapping of positions to pixels.
     track : OpticalTrack
         Frame by frame, on the run's clock where there is a run.
     figures : mapping of str to object
         As ``track.json`` holds them.
     warnings : tuple of str
-        What makes the track or the comparison doubtful.
+        Reasons why the track or the comparison is uncertain.
     alignment : Alignment or None
         When the video began on the run's clock.
     analysis : PathAnalysis or None
@@ -112,7 +112,7 @@ def track(
     corners : ndarray, shape (4, 2), in pixels, optional
         Four points of the picture, in place of markers.
     corners_at : ndarray, shape (4, 2), in m, optional
-        Where they are (x, y), in the rig's world frame.
+        Their positions (x, y) in the rig's world frame.
     corners_height : float, in m, optional
         Their z; by default the robot's.
     camera_height : float, in m, optional
@@ -122,7 +122,7 @@ def track(
     robot_height : float, in m, optional
         Known z of the robot; by default the liquid's surface in the run's rig.
     mark : {"auto", "head", "tail", "none"}
-        Where the dark mark is; ``auto`` means the magnet, as the robot file has it.
+        End with the dark mark; ``auto``: the magnet's end, by the robot file.
     background : path, optional
         Picture of the scene without the robot; by default the video's median.
     run : path, optional
@@ -134,7 +134,7 @@ def track(
     out : path, optional
         Folder for track.csv, track.json and track.png; none is made without it.
     progress : callable, optional
-        Told how many frames of how many are done.
+        Called with the number of frames that are done, and of all.
 
     Returns
     -------
@@ -150,13 +150,13 @@ def track(
     >>> import smolbot
     >>> smolbot.track("clip.avi")
     Traceback (most recent call last):
-    smolbot.errors.InputError: Where pixels are must be known: ...
+    smolbot.errors.InputError: The camera's view must be known: ...
     """
     if fiducials is not None and (corners is not None or corners_at is not None):
         raise InputError("Give --fiducials or --corners, not both.")
     if fiducials is None and corners is None:
         raise InputError(
-            "Where pixels are must be known: --fiducials FILE, or --corners 'u,v u,v u,v u,v' with --corners-mm "
+            "The camera's view must be known: --fiducials FILE, or --corners 'u,v u,v u,v u,v' with --corners-mm "
             "'x,y …'."
         )
     if (corners is None) != (corners_at is None):
@@ -186,7 +186,7 @@ def track(
         figures |= {"run": str(run), "offset_s": alignment.offset, "offset_sigma_s": alignment.sigma,
                     "correlation": alignment.correlation} | analysis.compute_figures()  # fmt: skip
         if alignment.sigma > MAX_OFFSET_SIGMA:
-            warnings.append("when the video began is not sure: it shows too little but straight movement")
+            warnings.append("the start time of the video is uncertain: it shows little besides straight motion")
         path = None if poses.mission is None else poses.mission.path
         error = None if path is None else compute_tracking_error(result, path, poses)
         figures |= {} if error is None else {"tracking_error_mm": error}
@@ -217,7 +217,7 @@ def _body(config: RobotConfig, mark: str) -> Body:
 def _height(
     given: float | None, poses: RunPoses | None, fiducials: str | Path | None, corners_height: float | None
 ) -> tuple[float, str]:
-    """Find z of the robot, in m, and where it is known from."""
+    """Find z of the robot, in m, and the source of that value."""
     if given is not None:
         return given, "as given"
     if poses is not None:
@@ -228,8 +228,8 @@ def _height(
     if fiducials is not None:
         section = read_fiducials(Path(fiducials)).fiducials
         heights = [section.height_mm if m.height_mm is None else m.height_mm for m in section.markers]
-        return 1e-3 * max(heights), "that of the highest markers; --robot-z-mm says better"
-    return corners_height or 0.0, "that of the four points; --robot-z-mm says better"
+        return 1e-3 * max(heights), "that of the highest markers; --robot-z-mm is more exact"
+    return corners_height or 0.0, "that of the four points; --robot-z-mm is more exact"
 
 
 def _view_by_markers(film: Video, fiducials: Path, camera_height: float | None) -> tuple[View, tuple[str, ...]]:
@@ -237,14 +237,14 @@ def _view_by_markers(film: Video, fiducials: Path, camera_height: float | None) 
     total = len(found.detected) + len(found.missing)
     notes = [f"{len(found.detected)} of {total} markers, {found.view.rms:.2f} pixels rms"]
     if found.missing:
-        notes.append(f"markers not seen: {', '.join(map(str, found.missing))}")
+        notes.append(f"markers not found: {', '.join(map(str, found.missing))}")
     return found.view, tuple(notes)
 
 
 def _figures_of(
     track: OpticalTrack, film: Video, view: View, robot: RobotConfig, height: float, *, pictured: bool
 ) -> tuple[dict[str, Any], list[str]]:
-    """Figures of a track, and what makes it doubtful; `pictured` if there was a picture of the empty scene."""
+    """Compute the figures of a track, and warnings; `pictured` if there was a picture of the empty scene."""
     fine = 1e-3 * view.compute_scale(np.array([*track.positions[:, :2].mean(axis=0), height]))
     stay = track.compute_max_still_share(0.5 * min(robot.size[0], robot.size[2]))
     figures = {
@@ -256,9 +256,9 @@ def _figures_of(
         "pixels_per_mm": fine, "longest_stay": stay,
     }  # fmt: skip
     doubts = {
-        "parallax: where the camera is, is not known well enough. Put markers at the robot's height, or in two planes, "
-        "or say --camera-height-mm": track.view_sigma > MAX_VIEW_SIGMA,
-        f"in {track.head_unsure} frames nothing tells head from tail; see --mark": track.head_unsure > 0,
+        "parallax: the camera's position is not known well enough. Put markers at the robot's height, or in two "
+        "planes, or give --camera-height-mm": track.view_sigma > MAX_VIEW_SIGMA,
+        f"in {track.head_unsure} frames head and tail cannot be distinguished; see --mark": track.head_unsure > 0,
         f"{fine:.1f} pixels per mm: below {MIN_PIXELS_PER_MM:g} an outline is lost at times; come nearer": fine
         < MIN_PIXELS_PER_MM,
         f"the robot covers one place in {100 * stay:.0f} % of the frames, and may be taken for part of the scene. "

@@ -1,4 +1,4 @@
-"""``tune``: gains searched on random simulations; what it promises and returns. It lives in the package ``sim``."""
+"""``tune``: search gains on random simulations; its interface and results. The package ``sim`` implements it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from smolbot.functions.simulate import PlantName
 
 @dataclass(frozen=True, repr=False)
 class HeldOut(Readable):
-    """How one set of gains did in the full tank, on seeds that the search did not see.
+    """Results of one set of gains in the full tank, on held-out seeds.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class HeldOut(Readable):
     pass_rate_95 : (float, float)
         95 % interval of the rate at which flights pass.
     cost_mm : float
-        Mean over the flights, whose own are `costs_mm`.
+        Mean of `costs_mm`, the cost of each flight.
     costs_mm : tuple of float
     tracking_rms_mm, duration_s : float or None
         Means over the flights that reached the path's end; None if none did.
@@ -64,7 +64,7 @@ class Trial:
 
 @dataclass(frozen=True, repr=False)
 class Tuning(Readable):
-    """What a search for gains found.
+    """Result of a search for gains.
 
     Attributes
     ----------
@@ -80,9 +80,9 @@ class Tuning(Readable):
     improved : bool
         Tuned gains pass at least as often, and cost less on average over the same held-out seeds.
     importances : mapping of str to float
-        Share of each gain in how the cost varies; empty where trials are too few to tell.
+        Share of each gain in how the cost varies; empty if trials are too few.
     folder : Path or None
-        Where trials, gains.toml and the figure are; None if none were asked for.
+        Folder of trials, gains.toml and the figure; None if not requested.
     """
 
     mission: str
@@ -127,7 +127,7 @@ class Tuning(Readable):
 
 
 class Tune(Protocol):
-    """What the entry point ``tune`` of ``smolbot.functions`` keeps; see `tune` for the parameters."""
+    """Protocol of the entry point ``tune`` of ``smolbot.functions``; see `tune` for the parameters."""
 
     def __call__(
         self, mission: str, *, trials: int, worlds: int, held_out: int, plant: PlantName, only: Sequence[str] | None,
@@ -168,7 +168,7 @@ def tune(
     held_out : int
         Simulations of the full tank that the best is validated in.
     plant : {"full", "reduced"}
-        What trials fly in.
+        Plant in which trials fly.
     only : sequence of str, optional
         Gains to tune; by default all.
     seed : int
@@ -182,11 +182,11 @@ def tune(
     out : path, optional
         Folder for the journal of trials, gains.toml and the figure; none is made without it.
     resume : bool
-        Go on with the search that `out` holds.
+        Continue the search in `out`.
     settings : mapping of str to str, optional
-        Laid over the files, keys with dots.
+        Override the files; keys with dots.
     progress : callable, optional
-        Told after each trial how many have ended, and the best cost so far in mm, or None.
+        Called after each trial with the number of ended trials and the best cost so far, in mm or None.
     **overrides
         Settings with ``__`` for the dot.
 

@@ -144,7 +144,7 @@ def test_a_swing_is_measured_from_a_high_speed_clip(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({}, "Where pixels are must be known"),
+        ({}, "The camera's view must be known"),
         ({"corners": "1,2 3,4 5,6"}, "--corners-mm belong together|four"),
         ({"corners": "1,2 3,4 5,6", "corners_mm": "0,0 1,0 1,1 0,1"}, "four"),
         ({"corners": "0,0 100,100 200,200 300,300", "corners_mm": "0,0 1,1 2,2 3,3"}, "line"),
