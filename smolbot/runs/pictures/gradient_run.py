@@ -134,7 +134,7 @@ def draw_tracking(axes: Axes, mission: Mission, trace: Trace) -> None:
         axes.plot(times, compute_tracking_distance(mission, moments) * 1e3, color=TRUE, lw=1.3)
         draw_limit_line(axes, mission.tolerance * 1e3, " arrival ")
     else:
-        draw_empty_note(axes, "path not reached" if trace.knows_truth else "no truth on this rig")
+        draw_empty_note(axes, "path not reached" if trace.knows_truth else "no ground truth on this rig")
     axes.set_ylim(bottom=0.0)
     axes.set_title("True robot to path, in mm", loc="left", fontsize=11)
     axes.tick_params(labelbottom=False)
@@ -159,7 +159,7 @@ def draw_localization(axes: Axes, trace: Trace) -> None:
         axes.set_ylim(0.0, 1.15 * float(np.percentile(raw, 99.5)))
         axes.legend(loc="upper right", ncol=2, frameon=False, fontsize=9, borderaxespad=0.0)
     else:
-        draw_empty_note(axes, "no truth on this rig")
+        draw_empty_note(axes, "no ground truth on this rig")
     axes.set_title("Localization error, in mm", loc="left", fontsize=11)
     axes.tick_params(labelbottom=False)
 

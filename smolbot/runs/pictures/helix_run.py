@@ -82,7 +82,7 @@ def draw_distance(axes: Axes, mission: Mission, trace: Trace) -> None:
             axes.plot(at * 1e3, off * 1e3, "o", color=TRUE, ms=4.5, mfc="white", mew=1.4, label="pauses")
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=9, borderaxespad=0.0)
     else:
-        draw_empty_note(axes, "no truth on this rig")
+        draw_empty_note(axes, "no ground truth on this rig")
     axes.set_ylim(bottom=0.0)
     axes.set_title("True robot to path, in mm", loc="left", fontsize=11)
     axes.tick_params(labelbottom=False)
@@ -103,7 +103,7 @@ def draw_axis_error(axes: Axes, mission: Mission, trace: Trace) -> None:
         angles = np.degrees([compute_axis_angle(pose, truth) for pose, truth in known])
         axes.plot(arc * 1e3, angles, ".", color=LOCATED, ms=5, alpha=0.7)
     else:
-        draw_empty_note(axes, "no truth on this rig")
+        draw_empty_note(axes, "no ground truth on this rig")
     axes.set_ylim(bottom=0.0)
     axes.set_title("Propulsion axis of each pose against the true one, in degrees", loc="left", fontsize=11)
     axes.tick_params(labelbottom=False)

@@ -159,7 +159,7 @@ def draw_errors(errors: Axes, turns: Axes, trace: Trace, *, along_cantilever: bo
         turns.axhline(float(np.mean(angle)), color=TRUE, lw=1)
     else:
         for axes in (errors, turns):
-            draw_empty_note(axes, "no truth on this rig")
+            draw_empty_note(axes, "no ground truth on this rig")
     errors.set_title("Localization error of each pose, in mm; line: mean", loc="left", fontsize=11)
     turns.set_title("Orientation error, in degrees", loc="left", fontsize=11)
     for axes in (errors, turns):

@@ -30,7 +30,7 @@ SIZE = (6.4, 4.8)
 
 DPI = 90
 SHADES = 6
-"""Of each colour in a GIF, from white: few colours make a small file."""
+"""Number of shades of each colour in a GIF, from white: few colours make a small file."""
 
 HEADING_LENGTH = 0.07
 """Length of the line along the robot's heading, as a share of the picture's width."""
@@ -95,7 +95,7 @@ def make_animation(run: str | Path, path: Path, seconds: float = 10.0, fps: int 
     _check(path)
     flight = RecordedFlight.read(run)
     if not flight.trace.moments:
-        raise InputError(f"{flight.record.path}: holds no whole cycle; there is nothing to show.")
+        raise InputError(f"{flight.record.path}: holds no complete cycle; there is nothing to show.")
     count = max(round(seconds * fps), 2)
     begin, end = _find_span(flight)
     speed = (end - begin) / ((count - 1) / fps)

@@ -1,4 +1,4 @@
-"""Temperature and duty of every coil over a run, computed from the commands as the safety does it in flight."""
+"""Temperature and duty of every coil over a run, computed from the commands as by the safety supervisor in flight."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class CoilLoad:
     max_duty : float
         Highest allowed duty.
     window : float, in s
-        Time over which the duty is taken.
+        Time over which the duty is computed.
     """
 
     names: tuple[str, ...]

@@ -117,12 +117,12 @@ def compare(runs: Sequence[str | Path]) -> Comparison:
     flights = [RecordedFlight.read(run) for run in runs]
     _check_same_kind(flights)
     notes = [
-        f"{flight.record.path}: the record is cut short; its figures are of what is in it."
+        f"{flight.record.path}: the record is cut short; its figures cover the recorded part only."
         for flight in flights
         if not flight.record.whole
     ]
     if _has_different_paths(flights):
-        notes.insert(0, "These runs followed different paths: overlays show each with its own, errors are along it.")
+        notes.insert(0, "These runs followed different paths: overlays show all, errors are along each run's own.")
     return Comparison(flights, _make_labels(flights), find_changes(flights), _compare_figures(flights), notes)
 
 
@@ -132,7 +132,7 @@ def _check_same_kind(flights: list[RecordedFlight]) -> None:
         if (first.steered is None) != (other.steered is None):
             looks, steers = (first, other) if first.steered is None else (other, first)
             raise InputError(
-                f"{steers.record.folder} steered ('{steers.mission.name}') and {looks.record.folder} only looked "
+                f"{steers.record.folder} steered ('{steers.mission.name}') and {looks.record.folder} only observed "
                 f"('{looks.mission.name}'): runs of one kind can be compared."
             )
         mine, theirs = first.mission.robot, other.mission.robot

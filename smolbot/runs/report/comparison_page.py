@@ -86,7 +86,7 @@ def _build_figures_section(found: Comparison) -> Section:
         section.add_figure(
             to_svg(_draw_intervals(found, shown), "intervals", "Mean errors with intervals"),
             "Each run's mean error with its 95 % interval. Where intervals of two runs are far apart, the runs differ; "
-            "the table says by how much.",
+            "the table gives the difference.",
         )
     header = ["figure", *found.labels]
     for label in found.labels[1:]:
@@ -103,7 +103,7 @@ def _build_figures_section(found: Comparison) -> Section:
             ]
         )
     section.add(ELEMENTS.table(rows, header, wide=True))
-    return section.add_paragraph(METHOD + " A difference marked with a star is one whose interval does not hold zero.")
+    return section.add_paragraph(METHOD + " A star marks a difference whose interval does not contain zero.")
 
 
 def _build_settings_section(found: Comparison) -> Section:
@@ -133,7 +133,7 @@ def _build_errors_section(found: Comparison) -> Section:
             if along
             else "Each pose over the time of its run. "
         )
-        + "Right: share of the values that are at most so large; a curve further to the left is better everywhere.",
+        + "Right: cumulative distribution of the values; a curve further to the left is better.",
     )
 
 
@@ -231,8 +231,8 @@ def _draw_errors(found: Comparison) -> Figure:
             order = np.sort(compute_series(flight).get(kind, value))
             share.plot(order, np.arange(1, len(order) + 1) / len(order), color=COLORS[index % len(COLORS)], lw=1.5)
         if not any_known:
-            draw_empty_note(course, "no truth on this rig")
-            draw_empty_note(share, "no truth on this rig")
+            draw_empty_note(course, "no ground truth on this rig")
+            draw_empty_note(share, "no ground truth on this rig")
         course.set_ylim(bottom=0.0)
         share.set_xlim(left=0.0)
         share.set_ylim(0.0, 1.02)

@@ -39,11 +39,11 @@ def build_budget_section(flight: RecordedFlight) -> Section:
         return _add_pose_budget(section, flight)
     budget = compute_budget(mission, find_steps(flight))
     if budget is None:
-        return section.add_missing_note("The path was not reached, so there is no tracking error to take apart.")
+        return section.add_missing_note("The path was not reached, so there is no tracking error to split.")
     section.add_figure(
-        to_svg(draw_budget(budget), "budget", "Parts of the tracking error, and their course along the path"),
+        to_svg(draw_budget(budget), "budget", "Parts of the tracking error, in total and along the path"),
         "Left: root mean square of the tracking error and of each part. Right: error and parts along the path, signed, "
-        "positive to the left of the way; where a coloured line goes with the black one, that part makes the error.",
+        "positive to the left of the way; where a coloured line follows the black one, that part causes the error.",
     )
     header = ("part", "rms, mm", "mean, mm", "share of mean square", "what it is")
     section.add(ELEMENTS.table(format_rows(budget), header, wide=True))
@@ -101,16 +101,16 @@ def describe_budget(budget: ErrorBudget, summary: dict[str, Any], *, helical: bo
     lines = [
         f"In every step the parts add up to the error {exact}. Their "
         f"mean squares alone make {100 * alone / square:.0f} % of the total's; the other "
-        f"{100 * (1 - alone / square):+.0f} % is how parts go with each other "
-        f"({'they add' if alone < square else 'they make up for one another'}). A share counts that in: it is the "
+        f"{100 * (1 - alone / square):+.0f} % is due to correlation between parts "
+        f"({'they add' if alone < square else 'they compensate each other'}). A share includes that: it is the "
         "mean product of part and error over the mean square of the error, and may be negative."
     ]
     tracking = summary.get("tracking_error_mm")
     if tracking is not None:
         where = "at the first pose of each pause" if helical else "at poses"
         lines.append(
-            f"The budget is taken {where}: {1e3 * budget.total_rms:.3f} mm rms. The tracking error of this run, taken "
-            f"also at shot ends{' and on the way between pauses' if helical else ''}, is {tracking['rms']:.3f} mm rms."
+            f"The budget is computed {where}: {1e3 * budget.total_rms:.3f} mm rms. The tracking error of this run, "
+            f"also computed at shot ends{' and between pauses' if helical else ''}, is {tracking['rms']:.3f} mm rms."
         )
     return lines
 
@@ -165,10 +165,10 @@ def _draw_parts(axes: Axes, budget: ErrorBudget) -> None:
 
 
 def _add_pose_budget(section: Section, flight: RecordedFlight) -> Section:
-    """Localization error of a device that is not steered: what is always the same, what is predicted, and the rest."""
+    """Split the localization error of a device that is not steered: bias, predicted variance and rest."""
     found = compute_pose_budget(flight.compared_poses)
     if found is None:
-        return section.add_missing_note("No pose could be trusted, so there is no error to take apart.")
+        return section.add_missing_note("No pose could be trusted, so there is no error to split.")
     section.add(
         ELEMENTS.table(_format_pose_rows(found), ("part", "rms, mm", "share of mean square", "what it is"), wide=True)
     )

@@ -68,7 +68,7 @@ def build_verdict_table(mission: AnyMission, summary: dict[str, Any]) -> Markup:
     """
     ended = summary["status"]
     rows: list[tuple[str, object, str, bool | None]] = [
-        ("ended as it should", _format_data("status", ended), "completed", ended == "completed")
+        ("status at the end", _format_data("status", ended), "completed", ended == "completed")
     ]
     for key, name, limit, is_maximum in _list_criteria(mission):
         value = _get_value(summary, key)

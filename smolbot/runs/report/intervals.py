@@ -13,11 +13,11 @@ RESAMPLES, SEED, LEVEL = 2000, 0, 0.95
 
 METHOD = (
     f"Intervals hold {100 * LEVEL:.0f} %: circular block bootstrap over time, {RESAMPLES} resamples, seed {SEED}; "
-    "blocks are twice as long as the values stay alike (integrated autocorrelation), at least the cube root of their "
-    "number. They say how sure a figure is of this one run, not how another seed would do: fly several, or smolbot "
+    "blocks have twice the integrated autocorrelation time, at least the cube root of the number of values. They give "
+    "the uncertainty within this one run, not the spread between seeds: for that, do several runs, or smolbot "
     "simulate."
 )
-"""How intervals are made, for whoever reads them."""
+"""Explanation of the intervals, for readers of a comparison."""
 
 Statistic = Callable[[FloatArray], FloatArray]
 """Of values (..., n), along the last axis."""
@@ -109,7 +109,7 @@ def compute_autocorrelation_time(values: FloatArray) -> float:
     total = 1.0
     for lag in range(1, n):
         total += 2.0 * float(correlation[lag])
-        if lag >= 5.0 * total:  # Sokal's window: far enough to hold what is alike, and no more
+        if lag >= 5.0 * total:  # Sokal's window: it covers the correlated lags, and no more
             break
     return max(total, 1.0)
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FOLDER, TRACK = "optical", "track.csv"
-"""Where in a run folder a track lies; its times are on the run's clock."""
+"""Path of a track in a run folder; its times are on the run's clock."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ def build_optical_sections(flight: RecordedFlight) -> list[Section]:
         return [section.add_missing_note("No pose of this run lies between two frames of its optical track.")]
     section.add_figure(
         to_svg(draw_optical_figure(flight, pair), "optical", "Poses against the optical track"),
-        "Left: where the camera saw the robot, and where it was located. Right: horizontal distance of each trusted "
-        "pose to the camera's place at the same time, and the difference of their headings.",
+        "Left: optical and localized positions of the robot. Right: horizontal distance of each trusted pose to the "
+        "optical position at the same time, and the difference of their headings.",
     )
     return [
         section.add(
@@ -137,7 +137,7 @@ def format_optical_rows(flight: RecordedFlight, pair: OpticalComparison) -> list
         since = pair.track.times >= following[0].cycle.shot.end
         if since.any():
             off = flight.steered.path.project(pair.track.positions[since])[1]
-            rows.append(("robot as seen to the path, mm", 1e3 * off))
+            rows.append(("robot in the video to the path, mm", 1e3 * off))
     names = ("mean", "std", "rms", "p95", "max")
     return [[name, *(f"{value:.3f}" for value in compute_statistics(values, *names).values())] for name, values in rows]
 
@@ -173,7 +173,7 @@ def draw_optical_figure(flight: RecordedFlight, pair: OpticalComparison) -> Figu
     apart.set_ylim(bottom=0.0)
     draw_dots(turned, pair.times, np.degrees(pair.heading_errors), 2.4, LOCATED, alpha=0.7)
     turned.axhline(0.0, color=TRUE, lw=1)
-    turned.set_title("Heading located minus seen, in degrees")
+    turned.set_title("Heading: localized minus optical, in degrees")
     turned.set_xlabel("time in s")
     for axes in (above, apart, turned):
         axes.grid()

@@ -93,16 +93,16 @@ def _describe_warning(flight: RecordedFlight) -> str:
     record = flight.record
     if not record.whole:
         return (
-            f"This record is cut short: it ends after {flight.run.duration:.1f} s without saying how the run ended. "
+            f"This record is cut short: it ends after {flight.run.duration:.1f} s, before the end of the run. "
             "All figures are of what was recorded until then."
         )
     if record.recovered is not None and not record.recovered.ended:
         return (
-            "This record was recovered: the process was ended before it could say how the run ended. All figures are "
+            "This record was recovered: the process was ended before it recorded the end of the run. All figures are "
             f"of the {flight.run.duration:.1f} s that had been written by then."
         )
     if record.dropped:
-        return f"The recorder could not take {record.dropped} messages: cycles are missing from this report."
+        return f"The recorder dropped {record.dropped} messages: cycles are missing from this report."
     return ""
 
 
@@ -131,7 +131,7 @@ def choose_key_figures(summary: dict[str, Any]) -> list[tuple[str, str, str]]:
     """
     shown = (
         ("tracking_error_mm", "mean", "mm", "mean tracking error"),
-        ("tracking_error_mm", "p95", "mm", "95 % of the way within"),
+        ("tracking_error_mm", "p95", "mm", "95 % of the path within"),
         ("sigma_mm", "distance", "mm", "scatter in space"),
         ("localization_error_mm", "mean", "mm", "mean localization error"),
         ("orientation_error_deg", "mean", "°", "mean orientation error"),
@@ -163,21 +163,21 @@ def _build_verdict_section(flight: RecordedFlight) -> Section:
 
 def _build_position_sections(flight: RecordedFlight) -> list[Section]:
     """Build the sections on position and error, which depend on the kind of run."""
-    place = Section("path", "Where it went")
+    place = Section("path", "Path")
     sigmas = f"{whereabouts.SIGMAS:g} standard deviations"
     if isinstance(flight.mission, Observation):
-        place.title = "Where it was"
+        place.title = "Track"
         place.add_figure(
             to_svg(whereabouts.draw_track_figure(flight, flight.mission), "track", "Track of the device"),
             "Measurements about their mean, with the ellipse of one standard deviation."
             if flight.mission.sections.observe.measurements is not None
             else "The container from above and from the front; arrows are the tip's axis as localized. Right: the "
-            f"dotted square closely, where the tracked pose was farthest off; ellipses are {sigmas} of its horizontal "
-            "covariance.",
+            "dotted square, enlarged, where the error of the tracked pose was largest; ellipses are "
+            f"{sigmas} of its horizontal covariance.",
         )
         if flight.mission.sections.observe.measurements is not None:
             return [place]
-        error = Section("errors", "How well it was seen")
+        error = Section("errors", "Localization over time")
         return [
             place,
             error.add_figure(
@@ -190,16 +190,16 @@ def _build_position_sections(flight: RecordedFlight) -> list[Section]:
     arrows = " Arrows: propulsion axis, true and tracked, at every pause." if flight.is_helical else ""
     place.add_figure(
         to_svg(whereabouts.draw_path_figure(flight), "path", "Path planned, true and localized"),
-        f"Grey: planned. Dark: where the robot truly went. Orange ellipses: {sigmas} of the tracked pose's horizontal "
-        "covariance; 1.1 % of normal errors would lie outside. Right: the dotted square closely, where the robot was "
+        f"Grey: planned. Dark: true path of the robot. Orange ellipses: {sigmas} of the tracked pose's horizontal "
+        "covariance; 1.1 % of normal errors would lie outside. Right: the dotted square, enlarged, where the robot was "
         f"farthest from its path.{arrows}",
     )
     error = Section("errors", "Errors over time and along the path")
     error.add_figure(
         to_svg(whereabouts.draw_errors_figure(flight), "errors", "Tracking and localization error"),
         "Tracking error is the true robot's horizontal distance to the path as a curve, from the path's start on. "
-        "Localization error is pose minus truth in space; what is large there but not in the tracking error lies along "
-        "the path, or in height.",
+        "Localization error is pose minus truth in three dimensions; where it alone is large, it lies along the path "
+        "or in height.",
     )
     sections = [place, error]
     if flight.is_helical:
@@ -207,8 +207,8 @@ def _build_position_sections(flight: RecordedFlight) -> list[Section]:
         s = flight.summary
         helix.add_figure(
             to_svg(whereabouts.draw_helix_figure(flight), "helix", "Distance, axis error and turns along the path"),
-            "Distance to the path on the way, rings where it paused; the angle between located and true propulsion "
-            "axis; turns of the magnet before each pause, of another colour where a step-out made it turn slower.",
+            "Distance to the path, with rings at the pauses; the angle between localized and true propulsion axis; "
+            "turns of the magnet before each pause, in another colour where it turned slower after a step-out.",
         )
         helix.add_paragraph(f"{format_number(s['turns'])} turns, {s['pauses']} pauses, {s['step_outs']} step-outs.")
         sections.append(helix)
@@ -244,18 +244,18 @@ def _build_signal_sections(flight: RecordedFlight) -> list[Section]:
     try:
         spectrum = estimate_background_spectrum(background)
     except InputError as error:
-        noise.add_missing_note(f"No noise model can be estimated from the quiet recordings: {error}")
+        noise.add_missing_note(f"No noise model can be estimated from the background recordings: {error}")
     lines = np.zeros(0) if spectrum is None else spectrum.line_frequencies
     if windows:
         fit.add_figure(
             to_svg(
                 signals.draw_fit_figure(flight, windows, lines), "fit", "R², a window, and the spectrum of residuals"
             ),
-            "R² is the flight's own. The rest is computed again: the raw samples minus the forward model at each "
+            "R² is from the record. The rest is computed again: the raw samples minus the forward model at each "
             "recorded pose, with the sensors and device parameters assumed then. Where the orange line lies on the "
-            "broad one, the residuals are noise alone; where it lies above, the model misses something. A constant, "
-            "and the slope or decay that the flight left free in each channel, are subtracted from all of them: that "
-            "is why the lowest frequencies fall.",
+            "broad one, the residuals are noise alone; where it lies above, the model is incomplete. A constant, and "
+            "the slope or decay that was fitted in each channel, are subtracted from all of them, so the lowest "
+            "frequencies fall.",
         )
     else:
         fit.add_missing_note(NO_SIGNALS)

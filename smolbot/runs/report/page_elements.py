@@ -26,7 +26,7 @@ class Section:
     Attributes
     ----------
     anchor : str
-        What links within the page call it.
+        Target of links within the page.
     title : str
     body : list of Markup
         Elements, in order.

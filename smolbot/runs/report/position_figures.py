@@ -30,7 +30,7 @@ MAX_ELLIPSES = 40
 """Of a whole path; where one place is looked at closely, every pose has its own."""
 
 TRACKED_COLOR = "#f2a541"
-_CLOSE_UP_HALF = 1.1  # mm to each side of what is looked at closely
+_CLOSE_UP_HALF = 1.1  # mm from the centre to each side of a close-up
 
 
 def draw_path_figure(flight: RecordedFlight) -> Figure:
@@ -124,7 +124,7 @@ def draw_errors_figure(flight: RecordedFlight) -> Figure:
             axes.set_ylim(0.0, 1.08 * float(off.max()))
     else:
         for axes in rows[0]:
-            draw_empty_note(axes, "path not reached" if flight.knows_truth else "no truth on this rig")
+            draw_empty_note(axes, "path not reached" if flight.knows_truth else "no ground truth on this rig")
     draw_localization_errors(rows[1, 0], rows[1, 1], flight)
     mean_text = f"; dashed: mean, {off.mean():.3f}" if moments else ""
     rows[0, 0].set_title(f"Tracking error: true robot to path, in mm{mean_text}")
@@ -150,7 +150,7 @@ def draw_localization_errors(over_time: Axes, along: Axes, flight: RecordedFligh
     known = [m for m in flight.trace.moments if m.cycle.trusted and m.truth]
     if mission is None or not known:
         for axes in (over_time, along):
-            draw_empty_note(axes, "no truth on this rig")
+            draw_empty_note(axes, "no ground truth on this rig")
         return
     raw = np.array([1e3 * _compute_error(m.cycle.pose, m.truth) for m in known])
     tracked = np.array([1e3 * _compute_error(m.cycle.tracked, m.truth) for m in known])

@@ -71,9 +71,11 @@ def build_provenance_section(flight: RecordedFlight) -> Section:
     rows.append(("record", f"{flight.record.path.name}, {flight.record.path.stat().st_size / 1e6:.1f} MB"))
     section.add(ELEMENTS.table(rows))
     if not settings:
-        section.add_paragraph("No settings were laid over the files.")
+        section.add_paragraph("No settings override the files.")
     sampled = ELEMENTS.table(flatten(world).items()) if world else "Nothing."
-    section.add(ELEMENTS.folded("What the simulated world drew, hidden from controller and localizer", sampled))
+    section.add(
+        ELEMENTS.folded("Sampled mismatches of the simulated world, hidden from controller and localizer", sampled)
+    )
     section.add(ELEMENTS.folded("Packages", ELEMENTS.table(sorted(packages.items()))))
     for name, content in sorted(flight.record.begin.files.items()):
         if name.endswith(".toml"):

@@ -17,18 +17,18 @@ from smolbot.runs.report.assumed_models import AssumedModels
 from smolbot.runs.report.recorded_flight import RecordedFlight
 
 BLOCK_DURATION = 1e-4
-"""Length, in s, of the blocks to which samples are averaged before a model is laid over them."""
+"""Length, in s, of the blocks to which samples are averaged before a model is compared with them."""
 
 MAX_WINDOWS = 60
-"""Windows of a run that are looked at, equally spread."""
+"""Number of windows of a run that are evaluated, equally spread."""
 
-_LEAD_TIME_CONSTANTS = 10.0  # time constants of the sensors' low pass that the model begins before the recording
+_LEAD_TIME_CONSTANTS = 10.0  # lead of the model before the recording, in time constants of the sensors' low pass
 _N_ITERATIONS = 3
 
 
 @dataclass(frozen=True)
 class FittedWindow:
-    """One recording and its model, both without the trend that is free in every channel.
+    """One recording and its model, both without the trend that is fitted in every channel.
 
     Attributes
     ----------

@@ -33,7 +33,7 @@ def collect_settings(flight: RecordedFlight) -> Flat:
         found |= flatten(tomllib.loads(flight.record.begin.files[name].decode()), prefix)
     if flight.steered is not None:
         found |= {f"mission.controller.gains.{k}": json.dumps(v) for k, v in _collect_gains(flight).items()}
-    for reference in ("mission.rig", "mission.robot"):  # what these files hold is compared, not where they lay
+    for reference in ("mission.rig", "mission.robot"):  # these files are compared by content, not by path
         found.pop(reference, None)
     files = flight.record.files
     for setting, name in files.names.items():

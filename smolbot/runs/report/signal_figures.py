@@ -143,7 +143,7 @@ def _draw_spectrum(axes: Axes, flight: RecordedFlight, windows: list[FittedWindo
     axes.plot(grid[shown], 1e12 * signal[shown], color=FAINT, lw=1.2, label="measured")
     if background:
         axes.plot(grid[shown], 1e12 * compute_density(background, rate)[1][shown], color=TRUE, lw=3.5, alpha=0.55,
-                  label="quiet windows of the same length")  # fmt: skip
+                  label="background windows of the same length")  # fmt: skip
     axes.plot(grid[shown], 1e12 * residuals[shown], color=LOCATED, lw=1.4, label="fit residuals")
     _mark_lines(axes, lines)
     axes.set_title(

@@ -49,7 +49,7 @@ def test_poses_are_compared_with_what_the_camera_saw_at_their_times(filmed):
     np.testing.assert_allclose(seen.distances, inside, atol=1e-9)
     assert np.degrees(np.median(seen.heading_errors)) == pytest.approx(-2.0, abs=1.5)
     names = [row[0] for row in format_optical_rows(filmed, seen)]
-    assert "robot as seen to the path, mm" in names
+    assert "robot in the video to the path, mm" in names
 
 
 def test_a_run_without_a_track_has_no_such_section_and_a_broken_one_is_told(flight, filmed, tmp_path, mission):

@@ -247,7 +247,7 @@ def test_runs_of_different_robots_are_not_compared(folder, tmp_path):
 
     seen = load_observation("brain_marker", settings={"observe.measurements": "2", "localization.quiet_s": "1.0"})
     fly(seen, 1, folder=RunFolder(tmp_path / "marker"))
-    with pytest.raises(InputError, match=r"run steered \('line'\).*marker only looked \('brain_marker'\)"):
+    with pytest.raises(InputError, match=r"run steered \('line'\).*marker only observed \('brain_marker'\)"):
         compare([folder, tmp_path / "marker"])
     text = build_report(RecordedFlight.read(tmp_path / "marker", seen))
     assert Page(text).sections >= ANCHORS - {"errors"}
