@@ -222,7 +222,7 @@ def _build_coils_section(flight: RecordedFlight) -> Section:
             machinery.draw_coils_figure(flight, compute_coil_load(flight)), "coils", "Currents, duty and heat over time"
         ),
         "Each with the limit that would have ended the run. Temperature is computed from commanded currents, as the "
-        "safety does it in flight: one thermal node for each coil.",
+        "safety supervisor does in flight: one thermal node for each coil.",
     )
 
 
