@@ -27,7 +27,7 @@ from smolbot.errors import RigError
 
 STEPS_PER_STOP_CHECK = 500  # steps of a mechanical window between two checks whether to stop
 SUBSTEP = 2e-5  # s: period of the sample clock; the cantilever's period is 500 times longer
-ROUNDING = 1e-9  # share of a step that is rounding, not one more step
+ROUNDING = 1e-9  # share of a step below which a remainder is rounding, not one more step
 NO_SAMPLES = np.zeros((0, 1))
 
 
@@ -203,7 +203,7 @@ class Tank:
     def _run_mechanical(self, n: int, step: float, times: FloatArray, poses: FloatArray) -> int:
         """Play a mechanical window: the magnet's field stops the oscillation, and no samples are recorded."""
         carrier, start, played = self.carrier, self.time, 0
-        assert isinstance(carrier, MagnetDriven)  # the limits of other rigs refuse such windows
+        assert isinstance(carrier, MagnetDriven)  # other rigs refuse such windows by their limits
         while self.running and played < n:
             stride = min(STEPS_PER_STOP_CHECK, n - played)
             carrier.advance_mechanical(step, poses[played : played + stride])
@@ -236,7 +236,7 @@ class Tank:
             self._state[DRIVE] = 2 * math.pi * window.frequency
 
     def _begin_trace(self, rows: int) -> None:
-        """Keep the past that the sensors' low pass still needs, and reserve `rows` more rows."""
+        """Keep the history that the sensors' low pass still needs, and reserve `rows` more rows."""
         end = self._used
         first = max(int(np.searchsorted(self._trace_times[:end], self.time - self.sensors.lead)) - 1, 0)
         kept = end - first

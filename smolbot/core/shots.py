@@ -335,7 +335,7 @@ class Shot:
 
     @property
     def excite(self) -> Excite | None:
-        """The last excitation before it listens, if any."""
+        """The last excitation before the listening window, if any."""
         found = None
         for window in self.windows:
             if isinstance(window, Listen):

@@ -25,7 +25,7 @@ def check_writable(path: Path) -> None:
     Raises
     ------
     InputError
-        If `path` is a folder, or lies in one that does not exist.
+        If `path` is a folder, or its folder does not exist.
     """
     if path.is_dir():
         raise InputError(f"--out {path}: is a folder; name a file.")

@@ -235,7 +235,7 @@ class Localizer(PoseEstimatorBase):
         return Localizer(sensors, device, noise, self.estimator, self.volume, transients)
 
     def warm_up(self, half_periods: int, sample_rate: float, ring_down: float, frames: FloatArray | None) -> None:
-        """Use every compiled kernel once, on a synthetic recording.
+        """Run every compiled kernel once, on a synthetic recording.
 
         Parameters
         ----------
@@ -496,7 +496,7 @@ class Paper(Localizer):
 
 
 def _is_near_prior(pose: Pose, prior: Pose) -> bool:
-    """Return whether a pose that is not trusted may still start the next fit."""
+    """Return whether the next fit may start from a pose, although it is not trusted."""
     vague = float(np.sqrt(np.diag(pose.covariance)[:3].max()))
     return vague < MAX_SIGMA[0] and float(np.linalg.norm(pose.position - prior.position)) < 2.0 * MAX_SIGMA[0]
 

@@ -161,7 +161,7 @@ class Command:
     progress : float, in m
         Arc length of the path that was covered. Optional, but needed to analyse the controller's margins.
     phase : {"approach", "follow"}
-        On the way to the path's start, or on the path.
+        Moving to the path's start, or following the path.
     done : bool
         True once the path's end is reached.
     stuck : bool

@@ -45,7 +45,7 @@ RESTART_MISSES, RESTART_DISTANCE, RESTART_AGREEMENT = 3, 2e-3, 0.95
 dot product of their quaternions."""
 
 INNOVATION_OLD, INNOVATION_NEW, MAX_INNOVATION_SCALE = 0.95, 0.05, 25.0
-"""Weights of the exponential average of the innovation's size, and its upper bound."""
+"""Weights of old and new innovations in their exponential average, and the upper bound of that average."""
 
 MOTION_ERROR_SHARE = 0.3
 """Standard deviation of a predicted motion, as a share of it: errors of drag, gain and alignment."""
@@ -126,7 +126,7 @@ class Tracker:
     Attributes
     ----------
     motion : tuple of ndarray, or None
-        Predicted motion in the last shot: step (3,) in m, turn (3,) in rad, and their variances (6,).
+        Predicted motion in the last shot: step (3,) in m, rotation (3,) in rad, and their variances (6,).
 
     Examples
     --------

@@ -140,7 +140,7 @@ def _draw_shot(axes: Axes, shot: Shot, times: int, compute: Any, turnaround: flo
     scale, unit = (1.0, "s") if slow else (1e3, "ms")
     whole = scale * (shot.duration + max(turnaround, float(np.median(compute))))
 
-    free = [-np.inf, -np.inf, -np.inf]  # up to where labels stand above, below, and below that
+    free = [-np.inf, -np.inf, -np.inf]  # end of the labels placed so far: above, below, and further below
     for at, window in shot.timed():
         name, color = WINDOW_STYLES[type(window)]
         start, length = scale * at, scale * window.duration

@@ -102,7 +102,7 @@ def build_optical_sections(flight: RecordedFlight) -> list[Section]:
     if pair is None:
         return []
     if not len(pair.times):
-        return [section.add_missing_note("No pose of this run lies between two frames of its optical track.")]
+        return [section.add_missing_note("No pose of this run is between two frames of its optical track.")]
     section.add_figure(
         to_svg(draw_optical_figure(flight, pair), "optical", "Poses against the optical track"),
         "Left: optical and localized positions of the robot. Right: horizontal distance of each trusted pose to the "

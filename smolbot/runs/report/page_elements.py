@@ -113,7 +113,7 @@ def render_page(
     lead : sequence of Markup
         Elements under the heading.
     sections : sequence of Section
-        Links to all of them stand above them.
+        Links to all of them are above them.
     warning : str
         Stands above everything else.
 

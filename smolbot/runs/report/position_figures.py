@@ -27,7 +27,7 @@ SIGMAS = 3.0
 """Standard deviations of the ellipses."""
 
 MAX_ELLIPSES = 40
-"""Of a whole path; where one place is looked at closely, every pose has its own."""
+"""Most ellipses along a complete path; in a close-up, every pose has its own."""
 
 TRACKED_COLOR = "#f2a541"
 _CLOSE_UP_HALF = 1.1  # mm from the centre to each side of a close-up
