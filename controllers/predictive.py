@@ -39,7 +39,7 @@ HUBER_KNEE = 0.5
 """Heading error, in rad, beyond which its cost grows linearly."""
 
 TWO_WINDOW_DISTANCE = 1e-3
-"""From this distance to a corner, in m, and in every turn, the window after the next is planned too."""
+"""Distance to a corner, in m, below which the window after the next is planned too, as it is in every turn."""
 
 MAX_URGENCY, EASED_URGENCY = 8.0, 4.0
 """Thresholds of the urgency, a factor on the weights of progress and heading that grows with each plan that neither
@@ -79,7 +79,7 @@ class Predictive:
     lengths in mm, angles in rad. rho(x) = x^2 up to `HUBER_KNEE`, and grows linearly beyond. By the gains:
 
     ===========  =============================================================================================
-    n            1 / (1 + (sigma / confidence_mm)^2), sigma of the pose in the plane: how firmly to correct
+    n            1 / (1 + (sigma / confidence_mm)^2), sigma of the pose in the plane: weight of the correction
     s_w*         s_0 + w n stride, up to the leg's end; stride: distance per window at speed_mm_s or the path's speed
     f            forward, times (full stride / stride) and the urgency, which grows while plans do not advance
     h, a         heading_mm times the urgency, ahead_mm

@@ -29,14 +29,14 @@ PROBE_FREQUENCY_RATIO, MIN_PROBE_RING_DOWN = 1.37, 1e-3
 resonance the device hardly swings, so that the coils' decay is recorded alone."""
 
 MAX_BURST_DOUBLINGS = 4
-"""How often the excitation is doubled in length while no signal is found."""
+"""Number of times that the excitation is doubled in length while no signal is found."""
 
 PROBE_HALF_PERIODS = 8
 """Length, in half-periods, of the recordings from which the coils' ring-down is learned."""
 
 TAIL_CURRENTS = (0.025, 0.006, 0.0015)
-"""Currents, as shares of the highest one, with which the decay of a coil is measured: the next lower one if sensors
-were saturated. None of them moves a robot by more than some micrometres."""
+"""Currents, as shares of the highest one, with which the decay of a coil is measured: the next lower one is used if
+sensors were saturated. None of them moves a robot by more than some micrometres."""
 
 TAIL_PULL_DURATION = 15e-3
 """Length of such an actuation window, in s."""

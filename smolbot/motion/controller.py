@@ -165,7 +165,7 @@ class Command:
     done : bool
         True once the path's end is reached.
     stuck : bool
-        True if the controller gives up; the note gives the reason.
+        True if the controller cannot continue; the note gives the reason.
     event : str
         Event to record, such as a step-out; empty if there is none.
 
