@@ -38,7 +38,7 @@ class Problem:
         Name or path.
     rig : str, optional
     settings : mapping of str to str
-        Laid over the mission file in every flight.
+        Override the mission file in every flight.
     gains : mapping of str to Gain
         Those to be tuned, by name.
     start : mapping of str to float

@@ -22,8 +22,8 @@ def load_mission(name: str, rig: str | None = None, settings: dict[str, str] | N
     rig : str, optional
         A rig to use instead of the mission's own.
     settings : dict, optional
-        ``{"cycle.half_periods": "6"}``: settings laid over the mission file; keys that begin with
-        ``rig.`` are laid over the rig file.
+        ``{"cycle.half_periods": "6"}``: settings that override the mission file; keys that begin with
+        ``rig.`` override the rig file.
 
     Returns
     -------

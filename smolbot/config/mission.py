@@ -124,7 +124,7 @@ class Mission(MissionBase):
         return (*self.start, float(np.arctan2(ahead[1], ahead[0])))
 
     def helix_setup(self) -> HelixSetup:
-        """Build what the controller of a helical robot may know.
+        """Build the inputs of the controller of a helical robot.
 
         Returns
         -------
@@ -163,7 +163,7 @@ class Mission(MissionBase):
         )
 
     def setup(self) -> Setup:
-        """Build what the controller of a gradient-driven robot may know.
+        """Build the inputs of the controller of a gradient-driven robot.
 
         Returns
         -------

@@ -306,7 +306,7 @@ def load_rig(name: str, settings: dict[str, str] | None = None) -> RigConfig:
     name : str
         A shipped rig, or the path of a file.
     settings : dict, optional
-        Settings laid over the file: ``{"turnaround_ms": "5.0"}``.
+        Settings that override the file: ``{"turnaround_ms": "5.0"}``.
 
     Returns
     -------

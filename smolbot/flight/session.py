@@ -203,7 +203,7 @@ def open_rig(mission: AnyMission, seed: int = 0, *, gui: bool = False, operator:
     RigError
         If a device cannot be opened; no output was switched on.
     PluginError
-        If what the world opens does not keep the protocol of a `Rig`.
+        If what the world opens does not implement the protocol `Rig`.
     """
     world: World = load_world(mission.rig.world, mission.rig.document)
     place = mission.start if isinstance(mission, Observation) else mission.start_placement

@@ -20,7 +20,7 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        help="key=value laid over the mission file; rig.key=value over the rig file; @FILE: all of a TOML file.",
+        help="key=value overrides the mission file; rig.key=value the rig file; @FILE: all values of a TOML file.",
     ),
 ]
 RobotOption = Annotated[
