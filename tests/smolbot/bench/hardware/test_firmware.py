@@ -89,8 +89,8 @@ def test_a_lamp_asks_for_nothing_once_the_host_is_silent(uno, wire):
     wire.send(format_line(2, "BEAT"))
     assert wire.ask(format_line(3, "LAMP NEAR"), b"3 OK*")
     assert uno.lamp == "near"
-    lit = uno.state.number("cycles")
-    while uno.lamp is not None and uno.state.number("cycles") < lit + 48e6:
+    lit = uno.state.read_number("cycles")
+    while uno.lamp is not None and uno.state.read_number("cycles") < lit + 48e6:
         time.sleep(0.005)
     assert uno.lamp is None
     assert wire.ask(format_line(4, "LAMP NONE"), b"4 OK*")

@@ -40,12 +40,12 @@ def fails(action, seconds=2.0):
 
 def test_it_opens_with_the_motors_off_and_knows_where_the_magnet_is(uno, stage):
     assert stage.identity == "smolbot-magnet-stage 1.0"
-    assert settle(lambda: stage.at == "away")
+    assert settle(lambda: stage.place == "away")
     assert not uno.enabled
     uno.set_switches(near=False, away=False)
-    assert settle(lambda: stage.at is None)
+    assert settle(lambda: stage.place is None)
     uno.set_switches(near=True, away=False)
-    assert settle(lambda: stage.at == "near")
+    assert settle(lambda: stage.place == "near")
     stage.arm()
     assert uno.enabled
 
@@ -132,10 +132,10 @@ def test_a_hung_main_loop_is_noticed(uno, stage):
 
 
 def test_a_fault_that_an_earlier_run_left_does_not_stop_the_next(uno, wire, section):
-    wire.send(b"\n" + links.line(1, "BEAT"))
-    assert wire.ask(links.line(2, "ARM"), b"2 OK")
+    wire.send(b"\n" + links.format_line(1, "BEAT"))
+    assert wire.ask(links.format_line(2, "ARM"), b"2 OK")
     assert settle(lambda: not uno.enabled, 1.0)
-    assert wire.ask(links.line(3, "BEAT"), b"HEARTBEAT")
+    assert wire.ask(links.format_line(3, "BEAT"), b"HEARTBEAT")
     stage = MagnetStage(section)
     stage.open()
     stage.arm()
