@@ -116,7 +116,10 @@ def check_protocol(plugin: object, protocol: type, what: str) -> None:
     smolbot.errors.PluginError: Witness 'blind' breaks its protocol, smolbot.core.rig.Witness: truth() lacks the \
 parameter 'time'; it is called as truth(time).
     """
-    faults = list(_protocol_faults(plugin, protocol))
+    try:
+        faults = list(_protocol_faults(plugin, protocol))
+    except Exception as error:  # whatever a foreign property does when it is read
+        raise PluginError(f"{what} cannot be checked: {type(error).__name__}: {error}.") from error
     if faults:
         of = f"{protocol.__module__}.{protocol.__qualname__}"
         raise PluginError(f"{what} breaks its protocol, {of}: {'; '.join(faults)}.")
@@ -215,13 +218,13 @@ def load_world(name: str, document: Document) -> Any:
 def _load_entry_point(point: EntryPoint) -> Any:
     try:
         return point.load()
-    except Exception as error:  # whatever a foreign module does when it is imported
+    except (Exception, SystemExit) as error:  # whatever a foreign module does when it is imported
         package = point.value.split(":")[0].split(".")[0]
         group = point.group.removeprefix("smolbot.")
         raise PluginError(_explain(package, point, error), group=group, name=point.name) from error
 
 
-def _explain(package: str, point: EntryPoint, error: Exception) -> str:
+def _explain(package: str, point: EntryPoint, error: BaseException) -> str:
     from importlib.util import find_spec
 
     kind = "" if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: "

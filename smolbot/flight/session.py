@@ -19,7 +19,7 @@ from smolbot.config.world import World
 from smolbot.core.operator import Operator, SilentOperator, TerminalOperator
 from smolbot.core.rig import ProvenanceReporter, Rig
 from smolbot.core.thread_switching import shorten_switch_interval
-from smolbot.errors import InputError
+from smolbot.errors import InputError, report_plugin_errors
 from smolbot.flight.assembly import make_learned_sensors_file, make_loop
 from smolbot.flight.loop import Loop
 from smolbot.flight.pause import Pause
@@ -207,7 +207,8 @@ def open_rig(mission: AnyMission, seed: int = 0, *, gui: bool = False, operator:
     """
     world: World = load_world(mission.rig.world, mission.rig.document)
     place = mission.start if isinstance(mission, Observation) else mission.start_placement
-    rig = world.open(mission.rig, mission.robot, place, seed, gui=gui, operator=operator or SilentOperator())
+    with report_plugin_errors("World", world, "open"):
+        rig = world.open(mission.rig, mission.robot, place, seed, gui=gui, operator=operator or SilentOperator())
     check_protocol(rig, Rig, f"What world '{mission.rig.world}' opens")
     return rig
 
