@@ -9,9 +9,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 _LINE = re.compile(r"(?P<file>.+?):(?P<line>\d+): (?:(?P<key>[\w.+-]+): )?(?P<fault>.+)")
 _OURS = {"smolbot", "sim", "controllers", "lookup_tables"}
+_PASSING = {"lookup_tables", "click", "typer"}
+"""Packages whose errors tell people something as they are: an end, a wrong option, a point outside a table."""
 _SETTING = re.compile(r"--set (?P<key>[^=\s]+)=.*?: (?P<fault>.+)")
 
 
@@ -330,13 +333,18 @@ def report_plugin_errors(kind: str, plugin: object, call: str) -> Iterator[None]
         yield
     except Exception as error:
         owner = plugin if hasattr(plugin, "__qualname__") else type(plugin)
-        package = owner.__module__.partition(".")[0]
-        ours = isinstance(error, SmolbotError) or type(error).__module__.partition(".")[0] == "lookup_tables"
-        if ours or package in _OURS:
+        package = _top_package(owner)
+        passes = isinstance(error, SmolbotError | BrokenPipeError) or _top_package(type(error)) in _PASSING
+        if passes or package in _OURS:
             raise
         where = _find_place(error.__traceback__, package)
         part, call = f"{owner.__module__}:{owner.__qualname__}", call or owner.__qualname__
         raise PluginError(f"{kind} {part} failed in {call}(): {type(error).__name__}: {error} ({where}).") from error
+
+
+def _top_package(owner: Any) -> str:
+    """Name the top package in which a class or function is defined."""
+    return str(owner.__module__).partition(".")[0]
 
 
 def _find_place(trace: TracebackType | None, package: str) -> str:

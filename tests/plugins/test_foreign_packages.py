@@ -29,6 +29,7 @@ from smolbot.config.load import load_mission
 from smolbot.config.rig import load_rig
 from smolbot.errors import ConfigError, PluginError
 from smolbot.localization import PoseEstimatorBase
+from smolbot.ui.cli.app import BAD_INPUT, main
 
 HERE = Path(__file__).parent
 LAB, OWN_WORLD, HELICAL_LAW = HERE / "lab", HERE / "own_world", HERE / "helical_law"
@@ -467,3 +468,15 @@ def test_a_module_that_exits_when_imported_is_refused(plug_in, monkeypatch):
     monkeypatch.setattr(plugins.EntryPoint, "load", lambda point: sys.exit(3))
     with pytest.raises(PluginError, match=r"'own' \(.*\) cannot be loaded: SystemExit: 3"):
         plugins.load_plugin("controllers", "own")
+
+
+def test_a_command_that_fails_is_named_and_is_no_failed_verdict(plug_in, monkeypatch, capsys):
+    def measure(times: int = 1) -> None:
+        raise KeyError("by a lab")
+
+    plug_in("commands", "measure", measure)
+    monkeypatch.setattr(sys, "argv", ["smolbot", "measure", "--times", "2"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == BAD_INPUT
+    assert re.fullmatch(rf"Command \S*measure failed in \S*measure\(\): {PLACE}\.\n", capsys.readouterr().err)
