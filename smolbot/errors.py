@@ -257,7 +257,7 @@ class SignalLostError(SmolbotError, RuntimeError):
 
 
 class PluginError(SmolbotError, ImportError):
-    """A controller, rig or command that is not installed, breaks its protocol, or is shadowed by a foreign package.
+    """A part that is not installed, breaks its protocol, fails in use, or is shadowed by a foreign package.
 
     Parameters
     ----------
