@@ -8,8 +8,13 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
+from typing import Any
 
 _LINE = re.compile(r"(?P<file>.+?):(?P<line>\d+): (?:(?P<key>[\w.+-]+): )?(?P<fault>.+)")
+_OURS = {"smolbot", "sim", "controllers", "lookup_tables"}
+_PASSING = {"lookup_tables", "click", "typer"}
+"""Packages whose errors tell people something as they are: an end, a wrong option, a point outside a table."""
 _SETTING = re.compile(r"--set (?P<key>[^=\s]+)=.*?: (?P<fault>.+)")
 
 
@@ -252,7 +257,7 @@ class SignalLostError(SmolbotError, RuntimeError):
 
 
 class PluginError(SmolbotError, ImportError):
-    """A controller, rig or command that is not installed, breaks its protocol, or is shadowed by a foreign package.
+    """A part that is not installed, breaks its protocol, fails in use, or is shadowed by a foreign package.
 
     Parameters
     ----------
@@ -298,6 +303,59 @@ def report_write_errors(path: str | Path, what: str = "", done: str = "written")
         yield
     except OSError as error:
         raise InputError(f"{path}: {what}{' ' if what else ''}cannot be {done}: {error}.") from error
+
+
+@contextmanager
+def report_plugin_errors(kind: str, plugin: object, call: str) -> Iterator[None]:
+    """Convert an unexpected error of the block, which calls a lab's own part, into a `PluginError` that names the part.
+
+    Errors of smolbot and its field tables pass as they are, and so does every error of a part that ships with it.
+
+    Parameters
+    ----------
+    kind : str
+        What the message calls the part: ``Controller``, ``Estimator``, …
+    plugin : object
+        The class, object or function that is called.
+    call : str
+        The method of it that is called; empty if it is called itself.
+
+    Yields
+    ------
+    None
+
+    Raises
+    ------
+    PluginError
+        With the part, the method, the error, and the file and line in the part where it was raised.
+    """
+    try:
+        yield
+    except Exception as error:
+        owner = plugin if hasattr(plugin, "__qualname__") else type(plugin)
+        package = _top_package(owner)
+        passes = isinstance(error, SmolbotError | BrokenPipeError) or _top_package(type(error)) in _PASSING
+        if passes or package in _OURS:
+            raise
+        where = _find_place(error.__traceback__, package)
+        part, call = f"{owner.__module__}:{owner.__qualname__}", call or owner.__qualname__
+        raise PluginError(f"{kind} {part} failed in {call}(): {type(error).__name__}: {error} ({where}).") from error
+
+
+def _top_package(owner: Any) -> str:
+    """Name the top package in which a class or function is defined."""
+    return str(owner.__module__).partition(".")[0]
+
+
+def _find_place(trace: TracebackType | None, package: str) -> str:
+    """Find the deepest line of a package in a traceback; the last line of all if it has none there."""
+    place = last = "place unknown"
+    while trace is not None:
+        last = f"{trace.tb_frame.f_code.co_filename}:{trace.tb_lineno}"
+        if str(trace.tb_frame.f_globals.get("__name__", "")).partition(".")[0] == package:
+            place = last
+        trace = trace.tb_next
+    return last if place == "place unknown" else place
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:

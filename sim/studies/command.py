@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smolbot.config.plugins import list_plugins, load_plugin
-from smolbot.errors import InputError, suggest_name
+from smolbot.errors import InputError, PluginError, report_plugin_errors, suggest_name
 from smolbot.ui.cli.options import JsonOption, SetOption
 
 if TYPE_CHECKING:
@@ -113,23 +113,29 @@ def run_study(study: Study, options: Options, out: Path | None, *, resume: bool 
     """
     from sim.studies.benches import load_rig_once
     from sim.studies.running import StudyFolder, describe_study, open_study_executor, run_chunks
+    from sim.studies.study import Outcome
     from smolbot.runs.folder import make_dated_path
 
     begin = time.perf_counter()
     config = study.rig_of(options) if study.rig_of is not None else load_rig_once(options.rig)
     folder = StudyFolder(out or make_dated_path(f"study-{study.name}"), options.list_deciding(), resume=resume)
-    chunks = study.chunks(options)
+    with report_plugin_errors("Study", study.chunks, ""):
+        chunks = list(study.chunks(options))
     with (
         open_study_executor(options.jobs if len(chunks) > 1 else 1) as executor,
         _show_progress(study.name) as progress,
     ):
         parts = run_chunks(chunks, folder, executor, progress)
-    outcome = study.conclude(options, parts)
+    with report_plugin_errors("Study", study.conclude, ""):
+        outcome = study.conclude(options, parts)
+    if not isinstance(outcome, Outcome):
+        raise PluginError(f"Study '{study.name}': conclude() must return an Outcome; got {outcome!r}.")
     outcome.figures.update({"wall_s": time.perf_counter() - begin, "folder": str(folder.path)})
     folder.finish({**describe_study(options, study, config), **outcome.figures}, outcome.columns)
     for file, text in (study.files(outcome) if study.files is not None else {}).items():
         (folder.path / file).write_text(text, encoding="utf-8")
-    study.draw(outcome, folder.path / f"{study.name}.png")
+    with report_plugin_errors("Study", study.draw, ""):
+        study.draw(outcome, folder.path / f"{study.name}.png")
     return outcome, folder.path
 
 

@@ -19,7 +19,7 @@ from sim.studies.study import Chunk, Columns, Options, Study
 from smolbot.config.rig import RigConfig
 from smolbot.core.sensing import Device, SensorArray
 from smolbot.core.text_table import write_table
-from smolbot.errors import InputError, report_write_errors
+from smolbot.errors import InputError, PluginError, report_plugin_errors, report_write_errors
 
 
 class StudyFolder:
@@ -168,6 +168,10 @@ def run_chunks(
     report(len(found), len(chunks))
 
     def done(index: int, columns: Columns) -> None:
+        if not isinstance(columns, Mapping):
+            work = chunks[index].work
+            where = f"{work.__module__}:{work.__qualname__}"
+            raise PluginError(f"Study {where} must return columns by their name; got {columns!r}.")
         found[index] = columns
         if folder is not None:
             folder.save(chunks[index].name, columns)
@@ -176,12 +180,16 @@ def run_chunks(
     left = [i for i in range(len(chunks)) if i not in found]
     if executor is None:
         for index in left:
-            done(index, chunks[index].work(chunks[index]))
+            with report_plugin_errors("Study", chunks[index].work, ""):
+                columns = chunks[index].work(chunks[index])
+            done(index, columns)
     else:
         futures: dict[Future[Columns], int] = {executor.submit(chunks[i].work, chunks[i]): i for i in left}
         try:
             for future in as_completed(futures):
-                done(futures[future], future.result())
+                with report_plugin_errors("Study", chunks[futures[future]].work, ""):
+                    columns = future.result()
+                done(futures[future], columns)
         finally:
             for future in futures:
                 future.cancel()

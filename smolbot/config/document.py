@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from smolbot.config.alternatives import void_keys
 from smolbot.config.toml_layers import lay_over, set_values
 from smolbot.config.units import SI
-from smolbot.errors import ConfigError, MissingFileError, report_write_errors, suggest_name
+from smolbot.errors import ConfigError, InputError, MissingFileError, report_write_errors, suggest_name
 
 KeyPath = tuple[str | int, ...]
 
@@ -208,6 +208,9 @@ class Document:
         ConfigError
             If a key leads through something that is no table.
         """
+        if EXTENDS in settings:
+            message = f"--set {prefix}{EXTENDS}={settings[EXTENDS]}: a file extends what it says itself"
+            raise ConfigError(f"{message}; write a file of your own that extends another.")
         changed = copy.copy(self)
         changed.prefix, changed.settings = prefix, dict(settings)
         changed.data = copy.deepcopy(self.data)
@@ -364,6 +367,36 @@ def _values(data: dict[str, Any], at: KeyPath = ()) -> set[KeyPath]:
 
 def _under(key: KeyPath, replaced: set[KeyPath]) -> bool:
     return any(key[:count] in replaced for count in range(1, len(key) + 1))
+
+
+def format_setting(value: Any) -> str:
+    """Spell a value as a setting of the command line.
+
+    Parameters
+    ----------
+    value : object
+        Text as TOML writes it, or a number, list or table; numbers and arrays of numpy too.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        If it is nothing that a file could hold.
+
+    Examples
+    --------
+    >>> format_setting([0.5, 1])
+    '[0.5, 1]'
+    """
+    if isinstance(value, str):
+        return value
+    try:
+        return json.dumps(value, default=lambda one: one.tolist())
+    except (AttributeError, TypeError, ValueError) as error:
+        raise InputError(f"A setting must be text, a number, or a list or table of them; got {value!r}.") from error
 
 
 def _parse_setting(text: str) -> Any:

@@ -6,7 +6,7 @@ from importlib import resources
 from pathlib import Path
 
 from smolbot.config.document import EXTENDS, Document, Fault, read_text
-from smolbot.errors import ConfigError, MissingFileError, suggest_name
+from smolbot.errors import ConfigError, InputError, MissingFileError, suggest_name
 
 KINDS = ("missions", "rigs", "robots")
 
@@ -47,6 +47,8 @@ def find_file(name: str, kind: str, beside: Path | None = None) -> Path:
     MissingFileError
         With the names that exist.
     """
+    if not isinstance(name, str):
+        raise InputError(f"One of the {kind} is named by text, a name or a path; got {name!r}.")
     ours = list_shipped(kind)
     looks_like_path = name.endswith(".toml") or "/" in name or "\\" in name
     if not looks_like_path and name in ours:

@@ -258,6 +258,8 @@ def _find_law_faults(document: Document) -> list[Fault]:
     if law not in known:
         return [Fault(("controller", "law"), f"no controller is named '{law}'; installed: {', '.join(known)}.")]
     gains = load_plugin("controllers", law).gains
+    if not isinstance(gains, Mapping):
+        raise PluginError(f"Controller '{law}' breaks its protocol: gains must map names to Gains; got {gains!r}.")
     for name, gain in gains.items():
         if not isinstance(gain, Gain):
             raise PluginError(f"Controller '{law}' breaks its protocol: gains['{name}'] must be a Gain; got {gain!r}.")

@@ -13,6 +13,7 @@ from smolbot.config.plugins import load_world
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.config.units import Positive
+from smolbot.errors import report_plugin_errors
 from smolbot.motion.external_motion import ExternalMotion
 
 STEERING_SECTIONS = ("path", "start", "controller")
@@ -160,5 +161,7 @@ def _find_faults(rig: RigConfig, robot: RobotConfig) -> list[Fault]:
     if robot.kind != "device":
         message = f"'{robot.name}' is of kind '{robot.kind}', which swims; [observe] needs a bare device."
         return [Fault(("robot",), message)]
-    reason: str | None = load_world(rig.world, rig.document).unfit(rig, robot)
+    world = load_world(rig.world, rig.document)
+    with report_plugin_errors("World", world, "unfit"):
+        reason: str | None = world.unfit(rig, robot)
     return [] if reason is None else [Fault(("rig",), reason)]

@@ -14,7 +14,7 @@ from smolbot.config.document import Document, Fault, FileModel
 from smolbot.config.plugins import list_plugins, load_plugin
 from smolbot.config.units import NotNegative, Point, Positive
 from smolbot.core.arrays import FloatArray
-from smolbot.errors import InputError
+from smolbot.errors import InputError, report_plugin_errors
 from smolbot.paths.corners import round_corners
 from smolbot.paths.curve import Curve
 from smolbot.paths.glyphs import find_glyph_fault, make_glyph_outline
@@ -157,7 +157,8 @@ def _read_outline(document: Document, section: PathSection) -> Outline:
     if section.file is None or reader is None:
         return Outline(np.array(section.points_mm))
     path = document.folder(("path", "file")) / section.file
-    points = np.asarray(reader.read(path, section.element, section.width_mm, section.height_mm), dtype=np.float64)
+    with report_plugin_errors("Path reader", reader, "read"):
+        points = np.asarray(reader.read(path, section.element, section.width_mm, section.height_mm), dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
         raise InputError(f"{path}: points must have shape (n, 2) with n at least 2; its reader gave {points.shape}.")
     return Outline(points)

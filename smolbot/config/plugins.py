@@ -31,9 +31,15 @@ _POSITIONAL = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
 
 
 @cache
-def _find_entry_points(group: str) -> dict[str, EntryPoint]:
-    """Find the entry points of ``smolbot.<group>`` by name; cached, since that reads a file of every package."""
-    return {point.name: point for point in reversed(tuple(entry_points(group=f"smolbot.{group}")))}
+def _find_entry_points(group: str) -> dict[str, dict[str, EntryPoint]]:
+    """Find the entry points of ``smolbot.<group>`` by name, and those of one name by what they name.
+
+    Cached, since that reads a file of every package.
+    """
+    found: dict[str, dict[str, EntryPoint]] = {}
+    for point in entry_points(group=f"smolbot.{group}"):
+        found.setdefault(point.name, {}).setdefault(point.value, point)
+    return found
 
 
 def list_plugins(group: str) -> list[str]:
@@ -69,7 +75,8 @@ def load_plugin(group: str, name: str) -> Any:
     Raises
     ------
     PluginError
-        If none has that name, if a foreign package shadows its package, or if it breaks its protocol.
+        If none has that name or several packages have it, if a foreign package shadows its package, or if it breaks its
+        protocol.
     """
     found, kind = _find_entry_points(group).get(name), _CALLED.get(group, group[:-1])
     if found is None:
@@ -77,7 +84,12 @@ def load_plugin(group: str, name: str) -> Any:
         hint = suggest_name(name, known)
         message = f"No {kind} is named '{name}'; installed: {', '.join(known) or 'none'}.{hint}"
         raise PluginError(message, group=group, name=name)
-    plugin, what = _load_entry_point(found), f"{kind.capitalize()} '{name}' ({found.value})"
+    if len(found) > 1:
+        named = ", ".join(sorted(found))
+        message = f"Several packages have a {kind} '{name}': {named}; rename one, or uninstall its package."
+        raise PluginError(message, group=group, name=name)
+    (point,) = found.values()
+    plugin, what = _load_entry_point(point), f"{kind.capitalize()} '{name}' ({point.value})"
     if group in PROTOCOLS:
         module, _, protocol = PROTOCOLS[group].partition(":")
         check_protocol(plugin, getattr(import_module(module), protocol), what)
@@ -116,7 +128,10 @@ def check_protocol(plugin: object, protocol: type, what: str) -> None:
     smolbot.errors.PluginError: Witness 'blind' breaks its protocol, smolbot.core.rig.Witness: truth() lacks the \
 parameter 'time'; it is called as truth(time).
     """
-    faults = list(_protocol_faults(plugin, protocol))
+    try:
+        faults = list(_protocol_faults(plugin, protocol))
+    except Exception as error:  # whatever a foreign property does when it is read
+        raise PluginError(f"{what} cannot be checked: {type(error).__name__}: {error}.") from error
     if faults:
         of = f"{protocol.__module__}.{protocol.__qualname__}"
         raise PluginError(f"{what} breaks its protocol, {of}: {'; '.join(faults)}.")
@@ -215,13 +230,13 @@ def load_world(name: str, document: Document) -> Any:
 def _load_entry_point(point: EntryPoint) -> Any:
     try:
         return point.load()
-    except Exception as error:  # a foreign module may raise anything on import
+    except (Exception, SystemExit) as error:  # a foreign module may do anything on import
         package = point.value.split(":")[0].split(".")[0]
         group = point.group.removeprefix("smolbot.")
         raise PluginError(_explain(package, point, error), group=group, name=point.name) from error
 
 
-def _explain(package: str, point: EntryPoint, error: Exception) -> str:
+def _explain(package: str, point: EntryPoint, error: BaseException) -> str:
     from importlib.util import find_spec
 
     kind = "" if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from smolbot.config.alternatives import SINGLE_AXIS
-from smolbot.config.document import Document, Fault, Model, validate
+from smolbot.config.document import Document, Fault, FileModel, Model, validate
 from smolbot.config.library import open_file
 from smolbot.config.plugins import list_plugins, load_plugin, load_world
 from smolbot.config.rig_sections import MagnetSection, Range, RigFile
@@ -18,7 +18,7 @@ from smolbot.core.arrays import FloatArray, freeze
 from smolbot.core.coil_heat import ThermalCoil
 from smolbot.core.limits import Limits
 from smolbot.core.sensing import SensorArray
-from smolbot.errors import ConfigError, suggest_name
+from smolbot.errors import ConfigError, InputError, PluginError, report_plugin_errors, suggest_name
 
 if TYPE_CHECKING:
     from lookup_tables import FieldTable, FlatCoil, RoundCoil
@@ -349,10 +349,20 @@ def _expand_sensors(document: Document) -> list[Fault]:
     if given is None:
         return faults
     try:
-        document.data["sensors"] = dict(plugin.expand(given))
+        with report_plugin_errors("Kind of sensors", plugin, "expand"):
+            document.data["sensors"] = _expand(plugin, given)
     except ValueError as error:
         return [Fault(("sensors",), str(error))]
     return []
+
+
+def _expand(plugin: SensorKind, section: FileModel) -> dict[str, Any]:
+    """Let a kind of sensors expand its section; what is wrong with its values is a fault of the file."""
+    try:
+        found = plugin.expand(section)
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    return dict(found)
 
 
 def _without_own_section(document: Document) -> dict[str, Any]:
@@ -376,5 +386,10 @@ def _find_world_faults(document: Document) -> list[Fault]:
     world = document.data.get("world")
     if not isinstance(world, str):
         return []
-    faults: list[Fault] = load_world(world, document).check(document)
+    plugin = load_world(world, document)
+    with report_plugin_errors("World", plugin, "check"):
+        faults = list(plugin.check(document))
+    strange = [fault for fault in faults if not isinstance(fault, Fault)]
+    if strange:
+        raise PluginError(f"World '{world}': check() must return a list of Fault; got {strange[0]!r} in it.")
     return faults

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,43 @@ from smolbot.errors import InputError
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
+
+
+def as_count(value: Any, least: int, name: str) -> int:
+    """Return `value` as a whole number that is not too small: a seed, a number of processes or of trials.
+
+    Parameters
+    ----------
+    value : int
+        Of Python or numpy.
+    least : int
+        Smallest number allowed.
+    name : str
+        Name of the value, for messages.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    InputError
+        If it is no whole number, or smaller.
+
+    Examples
+    --------
+    >>> as_count(-1, 0, "seed")
+    Traceback (most recent call last):
+    ...
+    smolbot.errors.InputError: seed must be a whole number of at least 0; got -1.
+    """
+    try:
+        count = operator.index(value)
+    except TypeError:
+        count = least - 1
+    if count < least:
+        raise InputError(f"{name} must be a whole number of at least {least}; got {value!r}.")
+    return count
 
 
 MAX_SIZE_FOR_DOT = 64

@@ -14,6 +14,7 @@ from smolbot.config.plugins import load_plugin
 from smolbot.config.sensors import SensorsFile, UncertaintySection
 from smolbot.core.coil_heat import CoilHeat
 from smolbot.core.rig import Rig
+from smolbot.errors import report_plugin_errors
 from smolbot.flight.device_belief import DeviceBelief
 from smolbot.flight.loop import Loop, StopRules
 from smolbot.flight.pause import Pause
@@ -78,7 +79,9 @@ def make_loop(
     )
     scheduler = Scheduler(cycle, rig.limits, DeviceBelief(device), rig.excitation_field, rig.now)
     listening = mission.base.localization
-    localizer = load_plugin("estimators", listening.estimator)(rig.sensors, device, volume=make_search_volume(mission))
+    make_estimator = load_plugin("estimators", listening.estimator)
+    with report_plugin_errors("Estimator", make_estimator, ""):
+        localizer = make_estimator(rig.sensors, device, volume=make_search_volume(mission))
     preparation = PreparationSettings(
         listening.background_noise_duration, mission.rig.sample_rate, listening.learns_ring_down
     )
@@ -205,10 +208,12 @@ def _make_steering_parts(mission: Mission, controller: Controller | None = None)
     if mission.robot.kind == "helical":
         screwed = mission.helix_setup()
         tracker = Tracker(screwed.helix, screwed.device, None)
-        return tracker, Follower(mission.path, controller or make(screwed, mission.gains))
+        with report_plugin_errors("Controller", make, ""):
+            return tracker, Follower(mission.path, controller or make(screwed, mission.gains))
     setup = mission.setup()
     tracker = Tracker(setup.robot, setup.device, setup.table)
-    return tracker, Follower(mission.path, controller or make(setup, mission.gains))
+    with report_plugin_errors("Controller", make, ""):
+        return tracker, Follower(mission.path, controller or make(setup, mission.gains))
 
 
 def _make_watching_parts(mission: Observation) -> tuple[Tracker, Pilot]:

@@ -18,7 +18,7 @@ from smolbot.core.pose import Pose
 from smolbot.core.rig import RecoveryCounter, Rig, StatusReporter
 from smolbot.core.sensing import Recording, SensorArray
 from smolbot.core.shots import Shot
-from smolbot.errors import InputError, InterlockError, OperatorStopError, RigError
+from smolbot.errors import InputError, InterlockError, OperatorStopError, PluginError, RigError, report_plugin_errors
 from smolbot.flight.pause import Pause
 from smolbot.flight.pilots import Pilot
 from smolbot.flight.preparation import Preparation, PreparationSettings
@@ -333,9 +333,13 @@ class Loop:
             lost = self.tracker.pose is None or shot.mode in ("search", "lost") or self.tracker.orientation_uncertain
             prior = None if self.independent or lost else self.tracker.pose_at(recording.middle)
             try:
-                pose, swing = self.localizer.locate_swing(recording, prior)
+                with report_plugin_errors("Estimator", self.localizer, "locate"):
+                    pose, swing = self.localizer.locate_swing(recording, prior)
             except InputError:  # too few usable channels: a missed window, counted by the tracker
                 pose = swing = None
+            if pose is not None and not isinstance(pose, Pose):
+                estimator = f"{type(self.localizer).__module__}:{type(self.localizer).__qualname__}"
+                raise PluginError(f"Estimator {estimator}: locate() must return a Pose; got {pose!r}.")
         tracked = self.tracker.update(shot, pose, swing)
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.predict(*self.tracker.motion)

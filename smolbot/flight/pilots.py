@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from numbers import Real
 from typing import Protocol
 
-from smolbot.core.shots import Actuate, Shot
+from smolbot.core.shots import Actuate, Mechanical, Rotate, Shot
+from smolbot.errors import PluginError, report_plugin_errors
 from smolbot.flight.tracking.passive_trackers import SingleShotTracker
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.motion.controller import Command, Controller, PlaybackAware
@@ -75,15 +78,52 @@ class Follower:
             return self._waiting  # a pause or a search came first, so that the magnet still has to be moved
         pose = tracker.pose_at(shot.end)
         if not self._begun:
-            self.controller.reset(self.path, pose)
+            with report_plugin_errors("Controller", self.controller, "reset"):
+                self.controller.reset(self.path, pose)
             self._begun = True
         window = None if self._sent is None else self._sent.window
         unplayed = isinstance(window, Actuate) and window not in shot.windows
         if unplayed and isinstance(self.controller, PlaybackAware):
-            self.controller.unplayed()
-        command = self._sent = self.controller.command(pose)
+            with report_plugin_errors("Controller", self.controller, "unplayed"):
+                self.controller.unplayed()
+        with report_plugin_errors("Controller", self.controller, "command"):
+            command = self._sent = check_command(self.controller.command(pose), self.controller)
         self._waiting = command if command.mechanical else None
         return command
+
+
+def check_command(command: object, controller: object) -> Command:
+    """Check that what a controller returned is a command that the loop can carry out and record.
+
+    Parameters
+    ----------
+    command : object
+    controller : Controller
+        Named in the message.
+
+    Returns
+    -------
+    Command
+        As given.
+
+    Raises
+    ------
+    PluginError
+        If it is no `Command`, has other windows than a command may have, or a progress that is no finite number.
+    """
+    law = f"{type(controller).__module__}:{type(controller).__qualname__}"
+    if not isinstance(command, Command):
+        raise PluginError(f"Controller {law}: command() must return a Command; got {command!r}.")
+    window = command.window
+    mechanical = isinstance(window, tuple) and all(isinstance(part, Mechanical) for part in window)
+    if not (window is None or mechanical or isinstance(window, Actuate | Rotate)):
+        allowed = "an Actuate, a Rotate, a tuple of Rotate, MoveMagnet and Rest, or None"
+        raise PluginError(f"Controller {law}: the window of a command must be {allowed}; got {window!r}.")
+    if not isinstance(command.progress, Real) or not math.isfinite(command.progress):
+        raise PluginError(
+            f"Controller {law}: the progress of a command must be a length in m; got {command.progress!r}."
+        )
+    return command
 
 
 class Watcher:

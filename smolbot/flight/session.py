@@ -10,16 +10,18 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from smolbot.config.document import format_setting
 from smolbot.config.load import AnyMission, load_mission
 from smolbot.config.mission_base import MissionBase
 from smolbot.config.observation import Observation
 from smolbot.config.plugins import check_protocol, load_world
 from smolbot.config.sensors import write_sensors
 from smolbot.config.world import World
+from smolbot.core.arrays import as_count
 from smolbot.core.operator import Operator, SilentOperator, TerminalOperator
 from smolbot.core.rig import ProvenanceReporter, Rig
 from smolbot.core.thread_switching import shorten_switch_interval
-from smolbot.errors import InputError
+from smolbot.errors import InputError, report_plugin_errors
 from smolbot.flight.assembly import make_learned_sensors_file, make_loop
 from smolbot.flight.loop import Loop
 from smolbot.flight.pause import Pause
@@ -93,9 +95,11 @@ def run(
     >>> run.status, len(run.cycles) == len(run.table()["time"])
     ('timeout', True)
     """
-    settings = {name.replace("__", "."): _format_setting(value) for name, value in overrides.items()}
+    settings = {name.replace("__", "."): format_setting(value) for name, value in overrides.items()}
     if isinstance(mission, str):
         mission = load_mission(mission, rig, settings)
+    elif not isinstance(mission, MissionBase):
+        raise InputError(f"mission must be a name or path as text, or a loaded mission; got {mission!r}.")
     elif rig is not None or settings:
         raise InputError("rig and overrides belong to loading: pass the mission's name, or load it with them.")
     folder = None if out is None else RunFolder(Path(out))
@@ -167,6 +171,7 @@ def fly(
     Exception
         Unexpected errors are raised again once all outputs are at zero and the folder is written.
     """
+    seed = as_count(seed, 0, "seed")
     latch = latch if latch is not None else Latch()
     rig = open_rig(mission, seed, gui=gui, operator=operator) if opener is None else opener(mission, seed)
     try:
@@ -205,9 +210,11 @@ def open_rig(mission: AnyMission, seed: int = 0, *, gui: bool = False, operator:
     PluginError
         If what the world opens does not implement the protocol `Rig`.
     """
+    seed = as_count(seed, 0, "seed")
     world: World = load_world(mission.rig.world, mission.rig.document)
     place = mission.start if isinstance(mission, Observation) else mission.start_placement
-    rig = world.open(mission.rig, mission.robot, place, seed, gui=gui, operator=operator or SilentOperator())
+    with report_plugin_errors("World", world, "open"):
+        rig = world.open(mission.rig, mission.robot, place, seed, gui=gui, operator=operator or SilentOperator())
     check_protocol(rig, Rig, f"What world '{mission.rig.world}' opens")
     return rig
 
@@ -356,9 +363,3 @@ def make_run_folder(mission: MissionBase, seed: int, base: Path = Path("runs")) 
     while path.exists():
         path, number = base / f"{name}-{number}", number + 1
     return RunFolder(path)
-
-
-def _format_setting(value: Any) -> str:
-    import json
-
-    return value if isinstance(value, str) else json.dumps(value)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
+
+from smolbot.config.document import format_setting
 
 DEFAULT_ROBOT = "gradient"
 """Robot that is used if none is named."""
@@ -29,8 +30,5 @@ def merge_settings(settings: Mapping[str, str] | None, overrides: Mapping[str, A
     >>> merge_settings(None, {"controller__tolerance_mm": 0.5, "path__glyph": "S"})
     {'controller.tolerance_mm': '0.5', 'path.glyph': 'S'}
     """
-    spelled = {
-        name.replace("__", "."): value if isinstance(value, str) else json.dumps(value)
-        for name, value in overrides.items()
-    }
+    spelled = {name.replace("__", "."): format_setting(value) for name, value in overrides.items()}
     return {**(settings or {}), **spelled}

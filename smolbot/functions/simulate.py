@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 
 from smolbot.config.plugins import load_plugin
+from smolbot.core.arrays import as_count
 from smolbot.core.results import Readable, as_columns
+from smolbot.errors import InputError, suggest_name
 from smolbot.functions.settings import merge_settings
 
 PlantName = Literal["full", "reduced"]
@@ -195,6 +197,22 @@ class Simulation(Readable):
         }
 
 
+def check_plant(plant: PlantName) -> PlantName:
+    """Return the name of a plant; raise `InputError` if there is none of that name.
+
+    Parameters
+    ----------
+    plant : {"full", "reduced"}
+
+    Returns
+    -------
+    str
+    """
+    if plant not in (known := get_args(PlantName)):
+        raise InputError(f"plant must be one of {', '.join(known)}; got {plant!r}.{suggest_name(str(plant), known)}")
+    return plant
+
+
 class Simulate(Protocol):
     """Protocol of the entry point ``simulate`` of ``smolbot.functions``; see `simulate` for the parameters."""
 
@@ -263,8 +281,13 @@ def simulate(
     Traceback (most recent call last):
     smolbot.errors.InputError: simulate needs one seed at least; got none.
     """
+    try:
+        wanted = [as_count(seed, 0, "each of seeds") for seed in seeds]
+    except TypeError as error:
+        raise InputError(f"seeds must be whole numbers, such as range(1, 21); got {seeds!r}.") from error
+    jobs, plant = as_count(jobs, 0, "jobs"), check_plant(plant)
     fly: Simulate = load_plugin("functions", "simulate")
     return fly(
-        mission, seeds, rig=rig, plant=plant, jobs=jobs, scheduler=scheduler, out=None if out is None else Path(out),
+        mission, wanted, rig=rig, plant=plant, jobs=jobs, scheduler=scheduler, out=None if out is None else Path(out),
         settings=merge_settings(settings, overrides), progress=progress,
     )  # fmt: skip

@@ -10,9 +10,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from smolbot.config.plugins import load_plugin
+from smolbot.core.arrays import as_count
 from smolbot.core.results import Readable, as_columns
 from smolbot.functions.settings import merge_settings
-from smolbot.functions.simulate import PlantName
+from smolbot.functions.simulate import PlantName, check_plant
 
 
 @dataclass(frozen=True, repr=False)
@@ -208,6 +209,9 @@ def tune(
     Traceback (most recent call last):
     smolbot.errors.InputError: --only: current_ratio has no gain 'agility'; it has ...
     """
+    seed, jobs, plant = as_count(seed, 0, "seed"), as_count(jobs, 0, "jobs"), check_plant(plant)
+    trials, worlds = as_count(trials, 1, "trials"), as_count(worlds, 1, "worlds")
+    held_out = as_count(held_out, 1, "held_out")
     search: Tune = load_plugin("functions", "tune")
     return search(
         mission, trials=trials, worlds=worlds, held_out=held_out, plant=plant, only=only, seed=seed, rig=rig, jobs=jobs,

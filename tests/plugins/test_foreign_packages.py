@@ -10,16 +10,26 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
+from controllers import ForcePursuit
+from sim.studies import Options, cut_chunks
+from sim.studies.command import run_study
+from smolbot import Command, Listen, preview
+from smolbot import run as smolbot_run
 from smolbot.config import plugins
 from smolbot.config.library import list_shipped, open_file
 from smolbot.config.load import load_mission
 from smolbot.config.rig import load_rig
 from smolbot.errors import ConfigError, PluginError
+from smolbot.localization import PoseEstimatorBase
+from smolbot.ui.cli.app import BAD_INPUT, main
 
 HERE = Path(__file__).parent
 LAB, OWN_WORLD, HELICAL_LAW = HERE / "lab", HERE / "own_world", HERE / "helical_law"
@@ -319,3 +329,154 @@ def test_a_mission_whose_path_reader_breaks_its_promise_is_refused(plug_in, file
     plug_in("path_readers", "polar", Illiterate)
     with pytest.raises(PluginError, match=r"Path reader 'polar' .* it has no method read"):
         load_mission(str(files / "spiral.toml"))
+
+
+class OwnLaw(ForcePursuit):
+    """A lab's law; what it does wrong is set by each test."""
+
+    fails_in: ClassVar[str] = ""
+    change: ClassVar[Callable[[Command], object]] = staticmethod(lambda command: command)
+
+    def reset(self, path, pose):
+        if self.fails_in == "reset":
+            raise KeyError("by a lab")
+        super().reset(path, pose)
+
+    def command(self, pose):
+        if self.fails_in == "command":
+            raise KeyError("by a lab")
+        return self.change(super().command(pose))
+
+
+class OwnEstimator(PoseEstimatorBase):
+    """A lab's estimator that can only fail."""
+
+    def locate(self, recording, prior=None):
+        raise ValueError("by a lab")
+
+
+BRIEFLY = {"localization__quiet_s": 0.0, "stop__max_duration_s": 1.0}
+PLACE = r"KeyError: 'by a lab' \(.*test_foreign_packages\.py:\d+\)"
+
+
+@pytest.mark.parametrize("call", ["reset", "command"])
+@pytest.mark.parametrize("use", [smolbot_run, preview], ids=["run", "preview"])
+def test_a_law_that_fails_is_named_with_the_line(plug_in, monkeypatch, use, call):
+    monkeypatch.setattr(OwnLaw, "fails_in", call)
+    plug_in("controllers", "own", OwnLaw)
+    with pytest.raises(PluginError, match=rf"Controller \S*:OwnLaw failed in {call}\(\): {PLACE}") as caught:
+        use("line", controller__law="own", **BRIEFLY)
+    assert isinstance(caught.value.__cause__, KeyError)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda command: None, r"command\(\) must return a Command; got None"),
+        (lambda command: replace(command, window=Listen(2, 103.5)), r"the window of a command must be an Actuate, .*"),
+        (lambda command: replace(command, window="full"), r"the window of a command must be .*; got 'full'"),
+        (
+            lambda command: replace(command, progress="all"),
+            r"the progress of a command must be a length in m; got 'all'",
+        ),
+        (lambda command: replace(command, progress=float("nan")), r"the progress of a command must be .*; got nan"),
+    ],
+)
+def test_a_law_that_returns_what_no_loop_can_play_is_refused(plug_in, monkeypatch, tmp_path, change, said):
+    monkeypatch.setattr(OwnLaw, "change", staticmethod(change))
+    plug_in("controllers", "own", OwnLaw)
+    with pytest.raises(PluginError, match=rf"Controller \S*:OwnLaw: {said}"):
+        smolbot_run("line", out=tmp_path / "run", report=False, controller__law="own", **BRIEFLY)
+    summary = json.loads((tmp_path / "run/summary.json").read_text())
+    assert summary["status"] == "failed"
+    assert "OwnLaw" in summary["stop_reason"]
+
+
+def test_an_estimator_that_fails_in_flight_is_named(plug_in):
+    plug_in("estimators", "own", OwnEstimator)
+    with pytest.raises(PluginError, match=r"Estimator \S*:OwnEstimator failed in locate\(\): ValueError: by a lab"):
+        smolbot_run("line", localization__estimator="own", **BRIEFLY)
+
+
+def test_a_pose_that_is_no_pose_is_refused(plug_in, monkeypatch):
+    monkeypatch.setattr(OwnEstimator, "locate", lambda self, recording, prior=None: (1.0, 2.0, 3.0))
+    plug_in("estimators", "own", OwnEstimator)
+    with pytest.raises(PluginError, match=r"OwnEstimator: locate\(\) must return a Pose; got \(1\.0, 2\.0, 3\.0\)"):
+        smolbot_run("line", localization__estimator="own", **BRIEFLY)
+
+
+def test_gains_that_are_no_mapping_are_refused(plug_in, monkeypatch):
+    monkeypatch.setattr(OwnLaw, "gains", ["ahead_mm"])
+    plug_in("controllers", "own", OwnLaw)
+    with pytest.raises(PluginError, match=r"Controller 'own' .*: gains must map names to Gains; got \['ahead_mm'\]"):
+        load_mission("line", settings={"controller.law": "own"})
+
+
+def test_a_path_reader_that_fails_is_named(plug_in, files):
+    class Broken:
+        has_shapes = False
+
+        @staticmethod
+        def read(path, element, width_mm, height_mm):
+            raise KeyError("by a lab")
+
+    plug_in("path_readers", "polar", Broken)
+    with pytest.raises(PluginError, match=rf"Path reader \S*Broken failed in read\(\): {PLACE}"):
+        load_mission(str(files / "spiral.toml"))
+
+
+@pytest.mark.parametrize("expanded", [None, [1]])
+def test_a_kind_of_sensors_that_expands_to_no_mapping_is_named(lab, files, monkeypatch, expanded):
+    kind = plugins.load_plugin("sensors", "triaxial")
+    monkeypatch.setattr(kind, "expand", staticmethod(lambda section: expanded))
+    with pytest.raises(PluginError, match=r"Kind of sensors lab_parts\.triaxial:Triaxial failed in expand\(\)"):
+        load_rig(str(files / "cubes.toml"))
+
+
+@pytest.mark.parametrize("faults", [None, ["wrong"]])
+def test_a_world_whose_check_returns_no_faults_is_named(lab, files, monkeypatch, faults):
+    world = plugins.load_plugin("rigs", "bath")
+    monkeypatch.setattr(world, "check", staticmethod(lambda document: faults))
+    with pytest.raises(PluginError, match=r"World .*[Bb]ath.*check\(\)"):
+        load_rig(str(files / "bath.toml"))
+
+
+def test_a_study_whose_pieces_fail_is_named(lab, tmp_path):
+    study = plugins.load_plugin("studies", "nearness")
+
+    def fail(chunk):
+        raise KeyError("by a lab")
+
+    broken = replace(study, chunks=lambda options: cut_chunks(options, fail, [("piece", {})]))
+    with pytest.raises(PluginError, match=rf"Study \S*fail failed in \S*fail\(\): {PLACE}"):
+        run_study(broken, Options("nearness", 1, 1, None, "tank", None, ()), tmp_path / "study")
+
+
+def test_a_study_that_returns_no_rows_or_no_outcome_is_refused(lab, tmp_path):
+    study = plugins.load_plugin("studies", "nearness")
+    options = Options("nearness", 1, 1, None, "tank", None, ())
+    empty = replace(study, chunks=lambda options: cut_chunks(options, lambda chunk: None, [("piece", {})]))
+    with pytest.raises(PluginError, match=r"Study \S*lambda> must return columns by their name; got None"):
+        run_study(empty, options, tmp_path / "empty")
+    endless = replace(study, conclude=lambda options, parts: None)
+    with pytest.raises(PluginError, match=r"Study 'nearness': conclude\(\) must return an Outcome; got None"):
+        run_study(endless, options, tmp_path / "endless")
+
+
+def test_a_module_that_exits_when_imported_is_refused(plug_in, monkeypatch):
+    plug_in("controllers", "own", OwnLaw)
+    monkeypatch.setattr(plugins.EntryPoint, "load", lambda point: sys.exit(3))
+    with pytest.raises(PluginError, match=r"'own' \(.*\) cannot be loaded: SystemExit: 3"):
+        plugins.load_plugin("controllers", "own")
+
+
+def test_a_command_that_fails_is_named_and_is_no_failed_verdict(plug_in, monkeypatch, capsys):
+    def measure(times: int = 1) -> None:
+        raise KeyError("by a lab")
+
+    plug_in("commands", "measure", measure)
+    monkeypatch.setattr(sys, "argv", ["smolbot", "measure", "--times", "2"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == BAD_INPUT
+    assert re.fullmatch(rf"Command \S*measure failed in \S*measure\(\): {PLACE}\.\n", capsys.readouterr().err)

@@ -14,6 +14,8 @@ from smolbot.core.pose import Pose
 from smolbot.core.results import Readable
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Actuate, Shot
+from smolbot.errors import report_plugin_errors
+from smolbot.flight.pilots import check_command
 from smolbot.motion.controller import Controller, ForceForecast, ForceProfile
 from smolbot.motion.gradient import advance
 from smolbot.paths.corners import compute_curvature, find_corners
@@ -91,7 +93,9 @@ class _Rollout:
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
         self.setup = mission.setup()
-        self.controller: Controller = load_plugin("controllers", mission.law)(self.setup, mission.gains)
+        make = load_plugin("controllers", mission.law)
+        with report_plugin_errors("Controller", make, ""):
+            self.controller: Controller = make(self.setup, mission.gains)
         self.rest = self.setup.cycle.duration(self.setup.device.frequency) + mission.rig.turnaround
         self.position = np.array([*mission.start, mission.rig.surface_z])
         first = mission.path.points[0] - self.position
@@ -106,12 +110,14 @@ class _Rollout:
 
     def fly(self) -> str | None:
         """Run cycles until the end of the path; return the reason if it is not reached, else None."""
-        self.controller.reset(self.mission.path, self._make_pose())
+        with report_plugin_errors("Controller", self.controller, "reset"):
+            self.controller.reset(self.mission.path, self._make_pose())
         best, nearest, farthest, since = 0.0, np.inf, 0.0, 0
         while True:
             if not self.setup.table.contains(self.position[None, :])[0]:
                 return f"the robot would leave the field table near {_format_mm(self.position)}."
-            command = self.controller.command(self._make_pose())
+            with report_plugin_errors("Controller", self.controller, "command"):
+                command = check_command(self.controller.command(self._make_pose()), self.controller)
             if command.done:
                 return None
             windows = command.mechanical or ((command.window,) if isinstance(command.window, Actuate) else ())
@@ -184,6 +190,8 @@ def preview(mission: Mission) -> Preview:
     cycling = rollout.clock - rollout.quiet
     played = cycling - rollout.cycles * mission.rig.turnaround
     bend = np.max(compute_curvature(mission.path.points))
+    with report_plugin_errors("Controller", rollout.controller, "reach"):
+        forecast = rollout.controller.reach(mission.path) if isinstance(rollout.controller, ForceForecast) else None
     return Preview(
         shot=rollout.pick_typical_shot(),
         rate_limit=rollout.cycles / played,
@@ -197,7 +205,7 @@ def preview(mission: Mission) -> Preview:
         requested_time=None if mission.path.speed is None else mission.path.speed.duration,
         cycles=rollout.cycles,
         trail=np.array(rollout.trail),
-        force_profile=rollout.controller.reach(mission.path) if isinstance(rollout.controller, ForceForecast) else None,
+        force_profile=forecast,
         localization_error=compute_expected_errors(mission, mission.path, np.linspace(0.0, mission.path.length, 9)),
         coil_energy=rollout.energy,
         reasons=[reason] if reason else [],

@@ -15,6 +15,8 @@ from smolbot.core.pose import Pose
 from smolbot.core.results import Readable
 from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Rotate, Shot, is_magnet_near_after
+from smolbot.errors import report_plugin_errors
+from smolbot.flight.pilots import check_command
 from smolbot.motion.controller import BendForecast, Controller, HelixSetup
 from smolbot.paths.curve import Curve
 
@@ -86,7 +88,9 @@ def preview_helix(mission: Mission) -> HelixPreview:
     HelixPreview
     """
     setup = mission.helix_setup()
-    controller = load_plugin("controllers", mission.law)(setup, mission.gains)
+    make = load_plugin("controllers", mission.law)
+    with report_plugin_errors("Controller", make, ""):
+        controller = make(setup, mission.gains)
     frequency = setup.limits.max_rotation_frequency
     arc = np.linspace(0.0, mission.path.length, 25)
     margin = np.array([setup.helix.torque_margin(p, frequency) for p in mission.path.at(arc)])
@@ -154,11 +158,15 @@ def _simulate_flight(
     rest = setup.cycle.duration(setup.device.frequency) + mission.rig.turnaround
     clock = mission.sections.localization.background_noise_duration + 2.0 * rest
     begun, limit = clock, mission.sections.stop.max_duration_s
-    controller.reset(mission.path, Pose(clock, position, orientation, PAUSE_COVARIANCE))
+    with report_plugin_errors("Controller", controller, "reset"):
+        controller.reset(mission.path, Pose(clock, position, orientation, PAUSE_COVARIANCE))
     shots: list[Shot] = []
     trail = [position]
     while True:
-        command = controller.command(Pose(clock, position, orientation, PAUSE_COVARIANCE))
+        with report_plugin_errors("Controller", controller, "command"):
+            command = check_command(
+                controller.command(Pose(clock, position, orientation, PAUSE_COVARIANCE)), controller
+            )
         if command.done:
             return shots, clock, np.array(trail), []
         if command.stuck:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 import typer
@@ -14,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from smolbot.config.plugins import list_plugins, load_plugin
 from smolbot.core.version import __version__
-from smolbot.errors import InterlockError, OperatorStopError, PluginError, RigError, SmolbotError
+from smolbot.errors import InterlockError, OperatorStopError, PluginError, RigError, SmolbotError, report_plugin_errors
 from smolbot.flight.safety.stop_signals import CTRL_C_REASON
 
 DONE, VERDICT_FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 3
@@ -84,10 +86,21 @@ class CommandGroup(TyperGroup):  # type: ignore[misc,unused-ignore]
         app = loaded
         if not isinstance(loaded, typer.Typer):
             app = typer.Typer(add_completion=False)
-            app.command(cmd_name)(loaded)
+            app.command(cmd_name)(_name_in_errors(loaded))
         command = typer.main.get_command(app)
         command.name = cmd_name
         return command
+
+
+def _name_in_errors(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Wrap the function of a command so that an unexpected error of a lab's own names it."""
+
+    @wraps(command)
+    def call(*arguments: Any, **options: Any) -> Any:
+        with report_plugin_errors("Command", command, ""):
+            return command(*arguments, **options)
+
+    return call
 
 
 def _make_broken_command(name: str, message: str) -> Any:

@@ -280,3 +280,9 @@ def test_a_file_that_extends_a_mission_may_follow_another_kind_of_path(write):
     mission = load_mission(path)
     assert mission.path.length == pytest.approx(5e-3)
     assert mission.document.data["path"] == {"center_mm": [0.0, 0.0], "file": "own.csv"}
+
+
+@pytest.mark.parametrize("key", ["extends", "rig.extends"])
+def test_a_setting_of_extends_is_refused_not_ignored(key):
+    with pytest.raises(ConfigError, match=r"--set \S*extends=tank: a file extends what it says itself"):
+        load_mission("line", settings={key: "tank"})

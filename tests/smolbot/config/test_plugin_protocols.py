@@ -329,3 +329,9 @@ def test_an_object_keeps_a_protocol_as_a_class_does():
     plugins.check_protocol(Known(), Witness, "it")
     with pytest.raises(PluginError, match=r"it has no method truth\(time\)"):
         plugins.check_protocol(object(), Witness, "it")
+
+
+def test_two_packages_with_one_name_are_refused_with_both(plug_in):
+    plug_in("controllers", "helical", Screw)
+    with pytest.raises(PluginError, match=r"Several packages have a controller 'helical': .*Helical, plugged_in_hel"):
+        plugins.load_plugin("controllers", "helical")
