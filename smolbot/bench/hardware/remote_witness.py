@@ -90,7 +90,7 @@ class RemoteWitness:
             self._news.wait_for(lambda: self._gone or self._get_latest_time() >= requested, ROW_TIMEOUT)
             if self._count == 0 or self._get_latest_time() < requested:
                 if self._gone:
-                    raise RigError(f"The twin at {self._address} serves ground truth no longer: the connection ended.")
+                    raise RigError(f"The twin at {self._address} no longer serves ground truth: the connection ended.")
                 raise InputError(f"The twin has not played {time:.3f} s yet.")
             times = self._rows[: self._count, 0]
             if requested < times[0]:

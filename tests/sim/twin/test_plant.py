@@ -220,7 +220,7 @@ def test_truth_arrives_at_another_process_unchanged():
         with pytest.raises(InputError, match="known from"):
             witness.truth(-1.0)
         server.close()
-        with pytest.raises(RigError, match="no longer tells"):
+        with pytest.raises(RigError, match="no longer serves"):
             witness.truth(100.0)
     finally:
         witness.close()

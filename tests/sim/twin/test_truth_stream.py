@@ -44,7 +44,7 @@ def test_a_twin_that_ends_while_somebody_waits_is_an_error_at_once():
     with pytest.raises(InputError, match="not played 7"):
         witness.truth(7.0)
     server.close()
-    with pytest.raises(RigError, match=f"127.0.0.1:{server.port} no longer tells"):
+    with pytest.raises(RigError, match=f"127.0.0.1:{server.port} no longer serves"):
         witness.truth(7.0)
     assert witness.truth(1.5).time == 1.5  # what has arrived stays known
     witness.close()
