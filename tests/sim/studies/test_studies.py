@@ -24,7 +24,7 @@ from sim.studies.running import StudyFolder, run_chunks
 from sim.studies.study import Chunk, Options, cut_chunks
 from smolbot.config.plugins import list_plugins
 from smolbot.core.pose import Pose
-from smolbot.errors import InputError
+from smolbot.errors import InputError, PluginError
 
 
 def draws(chunk: Chunk):
@@ -63,7 +63,7 @@ def test_more_chunks_leave_the_first_ones_as_they_were():
 def test_a_killed_study_continues_where_it_was(tmp_path):
     asked = Options("draws").list_deciding()
     broken = [*pieces()[:3], *pieces(work=fails)[3:]]
-    with pytest.raises(RuntimeError, match="killed"):
+    with pytest.raises(PluginError, match="RuntimeError: killed"):
         run_chunks(broken, StudyFolder(tmp_path / "s", asked))
     folder = StudyFolder(tmp_path / "s", asked, resume=True)
     assert [folder.load(f"p{i}") is not None for i in range(5)] == [True] * 3 + [False] * 2
