@@ -9,8 +9,10 @@ import logging
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
+
+import numpy as np
 
 from lookup_tables.errors import OutsideTableError
 from smolbot.core.blas_threads import limit_to_one_thread
@@ -163,6 +165,7 @@ class Loop:
         self._began = self._started = 0.0
         self._paused = 0.0
         self._located = 0
+        self._miss = ""  # why the last window gave no pose, where that is known
 
     def fly(self) -> Run:
         """Cycle until the path's end, a stop rule, an error or Ctrl-C; every output is at zero afterwards.
@@ -335,12 +338,16 @@ class Loop:
             try:
                 with report_plugin_errors("Estimator", self.localizer, "locate"):
                     pose, swing = self.localizer.locate_swing(recording, prior)
-            except InputError:  # too few usable channels: a missed window, counted by the tracker
-                pose = swing = None
+            except InputError as error:  # too few usable channels: a missed window, counted by the tracker
+                pose, swing, self._miss = None, None, str(error)
             if pose is not None and not isinstance(pose, Pose):
                 estimator = f"{type(self.localizer).__module__}:{type(self.localizer).__qualname__}"
                 raise PluginError(f"Estimator {estimator}: locate() must return a Pose; got {pose!r}.")
+            if pose is not None and pose.trusted and not np.isfinite(pose.covariance).all():
+                pose, self._miss = replace(pose, trusted=False), "the covariance of the pose is not finite"
         tracked = self.tracker.update(shot, pose, swing)
+        if self.tracker.misses == 0:
+            self._miss = ""
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.predict(*self.tracker.motion)
         learns = not self.independent and tracked is not None and tracked.trusted
@@ -397,7 +404,8 @@ class Loop:
             return "stuck", command.note or "the controller gave up"
         if self.tracker.misses >= self.rules.max_lost_shots:
             why = "the signal was never found" if self.tracker.pose is None else "the signal was lost"
-            return "lost", f"{why}: {self.tracker.misses} shots in a row gave no trusted pose"
+            cause = f"; the last one: {self._miss}" if self._miss else ""
+            return "lost", f"{why}: {self.tracker.misses} shots in a row gave no trusted pose{cause}"
         flown = self.rig.now() - self._started - self._paused
         if flown >= self.rules.max_duration:
             return "timeout", f"max_duration_s reached after {flown:.0f} s"

@@ -22,16 +22,16 @@ shift it by 0.02 Hz, which the scatter over repeats does not show.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from smolbot.config.device import DeviceUncertainty
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
-from smolbot.core.results import Readable, as_columns
+from smolbot.core.results import Readable
 from smolbot.core.sensing import DampingModel, Device, Recording
 from smolbot.core.shots import Excite, Listen, RingDown, Shot
 from smolbot.errors import InputError, SignalLostError
@@ -174,26 +174,6 @@ class Calibration(Readable):
     robot: str = ""
     rig: str = ""
     file: Path | None = None
-
-    def sweep_table(self) -> dict[str, np.ndarray[Any, Any]]:
-        """Return the frequency sweep as columns.
-
-        Returns
-        -------
-        dict of str to ndarray
-            The fields of `SweepPoint`, a value for each burst of the frequency sweep.
-        """
-        return as_columns(map(asdict, self.sweep), [f.name for f in fields(SweepPoint)])
-
-    def drive_table(self) -> dict[str, np.ndarray[Any, Any]]:
-        """Return the drive sweep as columns.
-
-        Returns
-        -------
-        dict of str to ndarray
-            The fields of `DrivePoint`, a value for each current of the drive sweep.
-        """
-        return as_columns(map(asdict, self.drives), [f.name for f in fields(DrivePoint)])
 
 
 def calibrate(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import smolbot
-from smolbot import Localizer, load_mission
+from smolbot import Actuate, Localizer, Pose, load_mission
 from smolbot.config import plugins
 from smolbot.errors import ConfigError, InputError, PluginError
 from smolbot.flight.replay import replay
@@ -91,6 +91,32 @@ def test_ours_under_another_name_flies_the_same_flight_bit_for_bit(plug_in):
     for a, b in zip(flights[0].cycles, flights[1].cycles, strict=True):
         assert a.shot == b.shot
         assert np.array_equal(a.tracked.position, b.tracked.position)
+
+
+class NotFinite(Plain):
+    """Gives poses that are no numbers, or claims no covariance, from the first window on."""
+
+    position, covariance = (np.nan, 0.0, 0.06), 1e-8 * np.eye(6)
+
+    def locate(self, recording, prior=None):
+        return Pose(recording.middle, self.position, (1, 0, 0, 0), self.covariance)
+
+
+class Unsure(NotFinite):
+    position, covariance = (0.0, 0.0, 0.06), np.full((6, 6), np.nan)
+
+
+@pytest.mark.parametrize(
+    ("made", "cause"),
+    [(NotFinite, "Pose position must be finite"), (Unsure, "the covariance of the pose is not finite")],
+)
+def test_poses_that_are_not_finite_are_never_trusted_and_the_run_says_so(plug_in, made, cause):
+    plug_in("estimators", "odd", made)
+    run = smolbot.run(load_mission("line", settings={"localization.estimator": "odd", "stop.lost_shots": "5"}), seed=3)
+    assert run.status == "lost"
+    assert cause in run.stop_reason
+    assert not any(cycle.tracked for cycle in run.cycles)
+    assert not any(isinstance(window, Actuate) for cycle in run.cycles for window in cycle.shot.windows)
 
 
 class Blind:
