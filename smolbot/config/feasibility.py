@@ -12,6 +12,7 @@ from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_axes
+from smolbot.core.sensing import Device
 from smolbot.core.shots import Shot
 from smolbot.errors import ConfigError
 from smolbot.localization.bounds import ListeningWindow, compute_pose_bound
@@ -22,6 +23,9 @@ from smolbot.localization.problem import MIN_OUTPUTS
 from smolbot.paths.curve import Curve
 
 Point = tuple[float, float]
+
+UP = np.array([0.0, 0.0, 1.0])
+"""Unit vector against gravity, world frame."""
 
 N_PATH_POINTS = 5
 """Of a path, at which a tolerance is held against the error to be expected."""
@@ -204,9 +208,29 @@ def compute_covariances_along(mission: MissionBase, path: Curve, arc: FloatArray
     ndarray, shape (n, 6, 6), in m and rad
         Position, then rotation, in the world frame.
     """
-    up = np.array([0.0, 0.0, 1.0])
-    headings = [quaternion_from_axes(heading, up, "zy") for heading in path.tangent(arc)]
+    if mission.robot.kind == "gradient":
+        headings = [compute_swimming_orientation(mission.robot.device, ahead) for ahead in path.tangent(arc)]
+    else:
+        headings = [quaternion_from_axes(ahead, UP, "zy") for ahead in path.tangent(arc)]
     return compute_expected_covariances(mission, path.at(arc), headings)
+
+
+def compute_swimming_orientation(device: Device, ahead: FloatArray) -> FloatArray:
+    """Compute the orientation of a floating robot whose moment points ahead, with the axis of its swing upright.
+
+    Parameters
+    ----------
+    device : Device
+    ahead : ndarray, shape (3,)
+        Unit vector in the horizontal plane.
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        Unit quaternion, scalar first, from body to world.
+    """
+    across, _, along = device.moment_in_body
+    return quaternion_from_axes(along * ahead - across * np.cross(UP, ahead), UP, "zy")
 
 
 def compute_expected_covariances(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import date
+from typing import Protocol
 
 import numpy as np
 
@@ -13,7 +14,9 @@ from smolbot.config.observation import Observation
 from smolbot.config.plugins import load_plugin
 from smolbot.config.sensors import SensorsFile, UncertaintySection
 from smolbot.core.coil_heat import CoilHeat
+from smolbot.core.limits import Limits
 from smolbot.core.rig import Rig
+from smolbot.core.sensing import SensorArray
 from smolbot.errors import report_plugin_errors
 from smolbot.flight.device_belief import DeviceBelief
 from smolbot.flight.loop import Loop, StopRules
@@ -26,6 +29,7 @@ from smolbot.flight.safety.sensor_monitor import SensorMonitor
 from smolbot.flight.safety.stop_latch import Latch
 from smolbot.flight.safety.supervisor import Safety, SafetyRules
 from smolbot.flight.scheduler import Scheduler
+from smolbot.flight.stall import StallWatch
 from smolbot.flight.tracking.passive_trackers import SingleShotTracker, VelocityTracker
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.localization.array.filter import ArrayFilter, ArrayPrior, compute_tilt_frames
@@ -96,14 +100,26 @@ def make_loop(
     )  # fmt: skip
 
 
+class Guarded(Protocol):
+    """Protocol of what a safety supervisor guards: a rig, open or not."""
+
+    @property
+    def sensors(self) -> SensorArray:
+        """Its sensors."""
+
+    @property
+    def limits(self) -> Limits:
+        """Its limits."""
+
+
 def make_safety(
-    rig: Rig, mission: AnyMission, latch: Latch | None = None, heat_memory: HeatMemory | None = None
+    rig: Guarded, mission: AnyMission, latch: Latch | None = None, heat_memory: HeatMemory | None = None
 ) -> Safety:
     """Build the safety supervisor of a mission from the ``[safety]`` section of its rig file.
 
     Parameters
     ----------
-    rig : Rig
+    rig : Rig or RigConfig
     mission : Mission or Observation
     latch : Latch, optional
         Stop latch of the run; a new one unless given.
@@ -213,7 +229,8 @@ def _make_steering_parts(mission: Mission, controller: Controller | None = None)
     setup = mission.setup()
     tracker = Tracker(setup.robot, setup.device, setup.table)
     with report_plugin_errors("Controller", make, ""):
-        return tracker, Follower(mission.path, controller or make(setup, mission.gains))
+        law = controller or make(setup, mission.gains)
+    return tracker, StallWatch(Follower(mission.path, law), mission.path, mission.law, law)
 
 
 def _make_watching_parts(mission: Observation) -> tuple[Tracker, Pilot]:

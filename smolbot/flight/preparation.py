@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from smolbot.core.arrays import FloatArray
+from smolbot.core.limits import Limits
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Shot
 from smolbot.errors import InputError, RigError
@@ -14,6 +15,7 @@ from smolbot.localization.estimator import PoseEstimator
 from smolbot.localization.noise.actuation_decay import CoilDecay, CoilDecays, identify_decay
 from smolbot.localization.noise.excitation_transients import SEPARABLE_AFTER, learn_time_constant
 from smolbot.localization.noise.model import NoiseModel
+from smolbot.motion.controller import Cycle
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,26 @@ class PreparationSettings:
     duration: float
     sample_rate: float
     learn_ring_down: bool = False
+
+
+def expect_ring_down(cycle: Cycle, constants: Sequence[float], limits: Limits) -> Cycle:
+    """Return a cycle that listens as soon as the learned decay of the excitation coils allows it.
+
+    Parameters
+    ----------
+    cycle : Cycle
+    constants : sequence of float, in s
+        Time constants of the excitation coils.
+    limits : Limits
+
+    Returns
+    -------
+    Cycle
+        As given without constants.
+    """
+    if not constants:
+        return cycle
+    return replace(cycle, ring_down=max(SEPARABLE_AFTER * max(constants), limits.min_ring_down))
 
 
 class Preparation:
@@ -122,9 +144,8 @@ class Preparation:
             self.localizer = self.localizer.with_transients(constants)
         if not constants:
             return
-        ring_down = max(SEPARABLE_AFTER * max(constants), self.scheduler.limits.min_ring_down)
-        self.scheduler.cycle = replace(self.scheduler.cycle, ring_down=ring_down)
-        detail = {"time_constants_ms": [1e3 * t for t in constants], "ring_down_ms": 1e3 * ring_down}
+        self.scheduler.cycle = cycle = expect_ring_down(self.scheduler.cycle, constants, self.scheduler.limits)
+        detail = {"time_constants_ms": [1e3 * t for t in constants], "ring_down_ms": 1e3 * cycle.ring_down}
         self._record_event(self._now(), "ring-down learned", detail)
 
     def _learn_tails(self) -> None:

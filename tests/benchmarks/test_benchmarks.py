@@ -11,7 +11,6 @@ import pytest
 from scipy.optimize import least_squares, minimize
 
 from controllers import ForceAllocator
-from controllers.predictive import Predictive
 from sim.batch.executors import open_executor
 from sim.batch.flights import PlantModel, compute_warm_rates, fly_seeds
 from sim.measure.plant_speed import measure_plant_loads
@@ -23,7 +22,7 @@ from smolbot.config.document import validate
 from smolbot.config.mission import load_steering_mission
 from smolbot.core.rotations import multiply_quaternions, quaternion_from_rotation_vector
 from smolbot.core.shots import Rest
-from smolbot.flight.preview.gradient import _Rollout
+from smolbot.flight.preview.rollout import Rollout, RolloutParts
 from smolbot.flight.session import fly
 from smolbot.localization.chain import apply_filters
 from smolbot.localization.forward import compute_deflection, compute_sensor_field
@@ -133,8 +132,8 @@ def test_an_allocation_against_one_start_of_slsqp(benchmark):
 @pytest.mark.benchmark(group="ratios")
 def test_a_step_of_predictive_control_against_the_turnaround(benchmark):
     mission = load_steering_mission("r_path")
-    law = Predictive(mission.setup(), {})
-    times = []
+    rollout = Rollout(RolloutParts.prepare(mission))
+    law, times = rollout.controller, []
     real = law.command
 
     def timed(pose):
@@ -143,10 +142,8 @@ def test_a_step_of_predictive_control_against_the_turnaround(benchmark):
         times.append(time.perf_counter() - begin)
         return command
 
-    rollout = _Rollout(mission)
     law.command = timed
-    rollout.controller = law
-    assert benchmark.pedantic(rollout.fly, rounds=1, iterations=1) is None
+    assert benchmark.pedantic(rollout.fly, rounds=1, iterations=1).reason == ""
     middle, most = 1e3 * np.median(times), 1e3 * np.percentile(times, 99)
     print(
         f"\npredictive: {middle:.2f} ms a step, p99 {most:.2f} ms, of {1e3 * mission.rig.turnaround:g} ms of turnaround"

@@ -15,12 +15,12 @@ from smolbot.bench.hardware.card import Card, LostWindow
 from smolbot.bench.hardware.driver import Driver
 from smolbot.bench.hardware.guard import Guard
 from smolbot.bench.hardware.magnet import Magnet
-from smolbot.bench.hardware.nominal_excitation import NominalExcitation
 from smolbot.bench.hardware.priority import raise_priority
 from smolbot.bench.hardware.relay_probe import make_relay_probe
 from smolbot.bench.hardware.supply import Supply
 from smolbot.bench.hardware.waveform import Waveform, WaveformCompiler
 from smolbot.bench.hardware.wiring import BenchSection
+from smolbot.config.nominal_excitation import NominalExcitation
 from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import FloatArray, as_floats
 from smolbot.core.closeable import Closeable

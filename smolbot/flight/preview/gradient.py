@@ -6,23 +6,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from smolbot.config.feasibility import compute_expected_errors
 from smolbot.config.mission import Mission
-from smolbot.config.plugins import load_plugin
 from smolbot.core.arrays import FloatArray
-from smolbot.core.pose import Pose
 from smolbot.core.results import Readable
-from smolbot.core.rotations import quaternion_from_axes
 from smolbot.core.shots import Actuate, Shot
 from smolbot.errors import report_plugin_errors
-from smolbot.flight.pilots import check_command
-from smolbot.motion.controller import Controller, ForceForecast, ForceProfile
-from smolbot.motion.gradient import advance
+from smolbot.flight.preview.rollout import Rollout, RolloutParts
+from smolbot.motion.controller import ForceForecast, ForceProfile
 from smolbot.paths.corners import compute_curvature, find_corners
-
-_UP = np.array([0.0, 0.0, 1.0])
-STALL_CYCLES = 150
-"""Number of cycles without progress after which a simulated mission counts as stalled."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,94 +78,8 @@ class Preview(Readable):
         return not self.reasons
 
 
-class _Rollout:
-    """Simulation of a mission on the controller's own model, without noise."""
-
-    def __init__(self, mission: Mission) -> None:
-        self.mission = mission
-        self.setup = mission.setup()
-        make = load_plugin("controllers", mission.law)
-        with report_plugin_errors("Controller", make, ""):
-            self.controller: Controller = make(self.setup, mission.gains)
-        self.rest = self.setup.cycle.duration(self.setup.device.frequency) + mission.rig.turnaround
-        self.position = np.array([*mission.start, mission.rig.surface_z])
-        first = mission.path.points[0] - self.position
-        self.heading = float(np.arctan2(first[1], first[0]))
-        self.quiet = mission.sections.localization.background_noise_duration
-        self.clock = self.quiet + 2.0 * self.rest  # one shot to find the signal, one to confirm it
-        self.path_begun = self.clock
-        self.cycles = 2
-        self.windows: list[Actuate] = []
-        self.trail = [self.position.copy()]
-        self.energy = 0.0
-
-    def fly(self) -> str | None:
-        """Run cycles until the end of the path; return the reason if it is not reached, else None."""
-        with report_plugin_errors("Controller", self.controller, "reset"):
-            self.controller.reset(self.mission.path, self._make_pose())
-        best, nearest, farthest, since = 0.0, np.inf, 0.0, 0
-        while True:
-            if not self.setup.table.contains(self.position[None, :])[0]:
-                return f"the robot would leave the field table near {_format_mm(self.position)}."
-            with report_plugin_errors("Controller", self.controller, "command"):
-                command = check_command(self.controller.command(self._make_pose()), self.controller)
-            if command.done:
-                return None
-            windows = command.mechanical or ((command.window,) if isinstance(command.window, Actuate) else ())
-            broken = self.setup.limits.faults(Shot(windows)) if windows else []
-            if broken:
-                return f"{self.mission.law} would break a limit near {_format_mm(self.position)}: {' '.join(broken)}"
-            self._advance(command.window)
-            if command.phase == "approach":
-                self.path_begun = self.clock
-            goal = self.mission.path.at(command.progress)
-            away = float(np.linalg.norm(goal[:2] - self.position[:2]))
-            approached = command.phase == "approach" and away < nearest - 1e-5
-            passed = float(self.mission.path.project(self.position[None, :])[0][0])
-            unreported = best == 0.0 and command.phase == "follow" and passed > farthest + 1e-5  # progress is optional
-            if command.progress > best + 1e-6 or approached or unreported:
-                best, nearest, since = max(best, command.progress), away, 0
-                farthest = max(farthest, passed)
-            else:
-                since += 1
-            done = f"{best * 1e3:.1f} of {self.mission.path.length * 1e3:.1f} mm"
-            if since > STALL_CYCLES:
-                return (
-                    f"the robot would stall near {_format_mm(self.position)}, {done} along the path: "
-                    f"the force of {self.mission.law} does not point where it should there."
-                )
-            limit = self.mission.sections.stop.max_duration_s
-            if self.clock - self.quiet > limit:
-                return f"it would not end within max_duration_s = {limit:g} s: {done} would be done."
-
-    def _advance(self, window: object) -> None:
-        if isinstance(window, Actuate) and any(window.currents):
-            field_, gradient = self.setup.table.field_and_gradient(self.position[None, :])
-            currents = np.array(window.currents)
-            step, self.heading = advance(
-                self.setup.robot, field_[:, 0], gradient[:, 0], currents, self.heading, window.duration
-            )
-            self.position = self.position + np.array([step[0], step[1], 0.0])
-            self.energy += float(np.sum(self.mission.rig.coil_resistances * currents**2)) * window.duration
-            self.clock += window.duration
-            self.windows.append(window)
-        self.clock += self.rest
-        self.cycles += 1
-        self.trail.append(self.position.copy())
-
-    def _make_pose(self) -> Pose:
-        ahead = np.array([np.cos(self.heading), np.sin(self.heading), 0.0])
-        return Pose(self.clock, self.position, quaternion_from_axes(ahead, _UP, "zy"), np.zeros((6, 6)))
-
-    def pick_typical_shot(self) -> Shot:
-        """Build a cycle whose actuation window has the median length."""
-        windows = sorted(self.windows, key=lambda w: w.duration)
-        listening = self.setup.cycle.windows(self.setup.device.frequency)
-        return Shot((windows[len(windows) // 2], *listening) if windows else listening)
-
-
 def preview(mission: Mission) -> Preview:
-    """Time a mission and simulate it once on the controller's own model, without noise.
+    """Time a mission and simulate it on the controller's own model, with the pose errors to be expected.
 
     Parameters
     ----------
@@ -185,32 +90,45 @@ def preview(mission: Mission) -> Preview:
     -------
     Preview
     """
-    rollout = _Rollout(mission)
-    reason = rollout.fly()
-    cycling = rollout.clock - rollout.quiet
-    played = cycling - rollout.cycles * mission.rig.turnaround
+    parts = RolloutParts.prepare(mission)
+    rollout = Rollout(parts)
+    found = rollout.fly()
+    cycling = found.duration - mission.sections.localization.background_noise_duration
+    played = cycling - found.cycles * mission.rig.turnaround
     bend = np.max(compute_curvature(mission.path.points))
-    with report_plugin_errors("Controller", rollout.controller, "reach"):
-        forecast = rollout.controller.reach(mission.path) if isinstance(rollout.controller, ForceForecast) else None
+    law = rollout.controller
+    with report_plugin_errors("Controller", law, "reach"):
+        forecast = law.reach(mission.path) if isinstance(law, ForceForecast) else None
     return Preview(
-        shot=rollout.pick_typical_shot(),
-        rate_limit=rollout.cycles / played,
-        rate=rollout.cycles / cycling,
+        shot=pick_typical_shot(found.shots),
+        rate_limit=found.cycles / played,
+        rate=found.cycles / cycling,
         length=mission.path.length,
         corners=len(find_corners(mission.path.points)),
         tightest_radius=float(1.0 / bend) if bend > 0.0 else float("inf"),
         remarks=mission.path_remarks,
-        duration=float("nan") if reason else rollout.clock,
-        path_time=float("nan") if reason else rollout.clock - rollout.path_begun,
+        duration=float("nan") if found.reason else found.duration,
+        path_time=float("nan") if found.reason else found.path_time,
         requested_time=None if mission.path.speed is None else mission.path.speed.duration,
-        cycles=rollout.cycles,
-        trail=np.array(rollout.trail),
+        cycles=found.cycles,
+        trail=found.trail,
         force_profile=forecast,
-        localization_error=compute_expected_errors(mission, mission.path, np.linspace(0.0, mission.path.length, 9)),
-        coil_energy=rollout.energy,
-        reasons=[reason] if reason else [],
+        localization_error=parts.errors.horizontal,
+        coil_energy=found.energy,
+        reasons=[found.reason] if found.reason else [],
     )
 
 
-def _format_mm(position: FloatArray) -> str:
-    return f"({position[0] * 1e3:.1f}, {position[1] * 1e3:.1f}) mm"
+def pick_typical_shot(shots: list[Shot]) -> Shot:
+    """Pick the shot of the median length among those that drive the robot, or among all if none does.
+
+    Parameters
+    ----------
+    shots : list of Shot
+
+    Returns
+    -------
+    Shot
+    """
+    driving = [shot for shot in shots if any(isinstance(window, Actuate) for window in shot.windows)] or shots
+    return sorted(driving, key=lambda shot: shot.duration)[len(driving) // 2]

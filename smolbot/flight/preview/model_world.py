@@ -1,0 +1,198 @@
+"""The world of a preview: the controller's own model, as it is or with some of its parameters drawn around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from smolbot.config.feasibility import compute_covariances_along, compute_swimming_orientation
+from smolbot.config.mission import Mission
+from smolbot.core.arrays import FloatArray
+from smolbot.core.pose import Pose
+from smolbot.core.rotations import multiply_quaternions, quaternion_from_rotation_vector
+from smolbot.core.shots import Actuate, Shot
+from smolbot.motion.controller import Setup
+from smolbot.motion.gradient import advance
+
+N_ERROR_POINTS = 9
+"""Points of the path at which the covariance of a pose is computed; a pose between takes that of the nearest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Perturbation:
+    """How a world differs from the controller's model. Factors are on the model's values; SI units.
+
+    Attributes
+    ----------
+    drag, rotational_drag, moment : float
+        Factors.
+    coil_gains : ndarray, shape (n_coils,), or None
+        Factors on the field of each coil; None for 1.
+    flow : ndarray, shape (2,), in m/s
+        Of the liquid, world frame.
+    start_offset : ndarray, shape (2,), in m
+        From the requested start position.
+    heading : float, in rad, or None
+        Of the robot at the start, from x toward y; None for toward the path's start.
+    pose_noise : float
+        Factor on the noise of poses; 0 for poses without error.
+    pose_bias : ndarray, shape (6,)
+        Error that every pose has, in standard deviations of a pose along its axes, such as by sensors out of place.
+    missed : float
+        Probability that a listening window gives no pose.
+    """
+
+    drag: float = 1.0
+    rotational_drag: float = 1.0
+    moment: float = 1.0
+    coil_gains: FloatArray | None = None
+    flow: FloatArray = field(default_factory=lambda: np.zeros(2))
+    start_offset: FloatArray = field(default_factory=lambda: np.zeros(2))
+    heading: float | None = None
+    pose_noise: float = 1.0
+    pose_bias: FloatArray = field(default_factory=lambda: np.zeros(6))
+    missed: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class PoseErrors:
+    """Covariance of a pose along a path, computed once for all worlds of a preview.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, 2), in m, world frame
+    covariances : ndarray, shape (n, 6, 6), in m and rad
+    factors : ndarray, shape (n, 6, 6)
+        Their Cholesky factors.
+    """
+
+    points: FloatArray
+    covariances: FloatArray
+    factors: FloatArray
+
+    @classmethod
+    def expect(cls, mission: Mission) -> PoseErrors:
+        """Compute the covariances that the estimator of a mission reaches along its path.
+
+        Parameters
+        ----------
+        mission : Mission
+
+        Returns
+        -------
+        PoseErrors
+        """
+        arc = np.linspace(0.0, mission.path.length, N_ERROR_POINTS)
+        covariances = compute_covariances_along(mission, mission.path, arc)
+        scale = np.sqrt(np.einsum("nii->ni", covariances))
+        outer = scale[:, :, None] * scale[:, None, :]
+        factors = np.linalg.cholesky(covariances / outer) * scale[:, :, None]
+        return cls(mission.path.at(arc)[:, :2], covariances, factors)
+
+    @property
+    def horizontal(self) -> FloatArray:
+        """Horizontal rms error of one pose at each point, shape (n,), in m."""
+        errors: FloatArray = np.sqrt(self.covariances[:, 0, 0] + self.covariances[:, 1, 1])
+        return errors
+
+    def find_nearest(self, position: FloatArray) -> int:
+        """Find the point nearest to a position.
+
+        Parameters
+        ----------
+        position : ndarray, shape (3,), in m
+
+        Returns
+        -------
+        int
+        """
+        return int(np.argmin(np.sum((self.points - position[:2]) ** 2, axis=1)))
+
+
+class ModelWorld:
+    """A robot that obeys the controller's model, as far as it is not perturbed, and poses of it with their errors.
+
+    Parameters
+    ----------
+    mission : Mission
+    setup : Setup
+        The controller's model.
+    errors : PoseErrors
+    perturbation : Perturbation
+    seed : int
+        Of the errors of poses.
+
+    Attributes
+    ----------
+    position : ndarray, shape (3,), in m, world frame
+    heading : float, in rad
+    """
+
+    def __init__(
+        self, mission: Mission, setup: Setup, errors: PoseErrors, perturbation: Perturbation, seed: int
+    ) -> None:
+        model = setup.robot
+        self._table = setup.table
+        self._robot = replace(
+            model,
+            drag=model.drag * perturbation.drag,
+            rotational_drag=model.rotational_drag * perturbation.rotational_drag,
+            moment=model.moment * perturbation.moment,
+        )
+        self._gains = np.ones(setup.table.n_coils) if perturbation.coil_gains is None else perturbation.coil_gains
+        self._errors, self._perturbation = errors, perturbation
+        self._rng = np.random.default_rng(seed)
+        self._along_x = compute_swimming_orientation(setup.device, np.array([1.0, 0.0, 0.0]))
+        self.position = np.array([*(np.array(mission.start) + perturbation.start_offset), mission.rig.surface_z])
+        way = mission.path.points[0] - self.position
+        toward = float(np.arctan2(way[1], way[0]))
+        self.heading = toward if perturbation.heading is None else perturbation.heading
+
+    @property
+    def inside(self) -> bool:
+        """Whether the robot is inside the field table."""
+        return bool(self._table.contains(self.position[None, :])[0])
+
+    def play(self, shot: Shot, turnaround: float) -> None:
+        """Move the robot by a shot and by the liquid's flow.
+
+        Parameters
+        ----------
+        shot : Shot
+        turnaround : float, in s
+            Time that passes after it.
+        """
+        position = self.position.copy()
+        position[:2] += self._perturbation.flow * (shot.duration + turnaround)
+        for window in shot.windows:
+            if isinstance(window, Actuate) and any(window.currents):
+                field_, gradient = self._table.field_and_gradient(self.position[None, :])
+                currents = np.array(window.currents) * self._gains
+                step, self.heading = advance(
+                    self._robot, field_[:, 0], gradient[:, 0], currents, self.heading, window.duration
+                )
+                position[:2] += step
+        self.position = position
+
+    def locate(self, time: float) -> Pose | None:
+        """Draw the pose that is located in a listening window.
+
+        Parameters
+        ----------
+        time : float, in s
+            Middle of the window.
+
+        Returns
+        -------
+        Pose or None
+            None for a window that gives no pose.
+        """
+        drawn = self._perturbation
+        if drawn.missed > 0.0 and self._rng.random() < drawn.missed:
+            return None
+        at = self._errors.find_nearest(self.position)
+        error = self._errors.factors[at] @ (drawn.pose_noise * self._rng.standard_normal(6) + drawn.pose_bias)
+        turned = error[3:] + np.array([0.0, 0.0, self.heading])  # small errors: their order with the turn is no matter
+        orientation = multiply_quaternions(quaternion_from_rotation_vector(turned), self._along_x)
+        return Pose(time, self.position + error[:3], orientation, self._errors.covariances[at])
