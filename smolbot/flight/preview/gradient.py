@@ -11,6 +11,8 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.results import Readable
 from smolbot.core.shots import Actuate, Shot
 from smolbot.errors import report_plugin_errors
+from smolbot.flight.preview.drawn_worlds import DrawnWorlds, fly_drawn_worlds
+from smolbot.flight.preview.remedies import find_remedy
 from smolbot.flight.preview.rollout import Rollout, RolloutParts
 from smolbot.motion.controller import ForceForecast, ForceProfile
 from smolbot.paths.corners import compute_curvature, find_corners
@@ -51,6 +53,10 @@ class Preview(Readable):
     force_profile : ForceProfile or None
         The controller's force along the path; None if the controller does not compute it.
     coil_energy : float, in J
+    worlds : DrawnWorlds or None
+        Flights in worlds that differ from the files a little; None where the mission does not end even in its own.
+    remedy : str
+        Settings with which a mission would end that does not; empty if none was sought or found.
     reasons : list of str
         Why not to fly; empty means go.
     """
@@ -70,6 +76,8 @@ class Preview(Readable):
     force_profile: ForceProfile | None
     localization_error: FloatArray
     coil_energy: float
+    worlds: DrawnWorlds | None = None
+    remedy: str = ""
     reasons: list[str] = field(default_factory=list)
 
     @property
@@ -93,6 +101,10 @@ def preview(mission: Mission) -> Preview:
     parts = RolloutParts.prepare(mission)
     rollout = Rollout(parts)
     found = rollout.fly()
+    reasons, worlds = [found.reason] if found.reason else [], None
+    if not reasons:
+        worlds = fly_drawn_worlds(parts)
+        reasons = [] if worlds.suffices else [worlds.describe_failures()]
     cycling = found.duration - mission.sections.localization.background_noise_duration
     played = cycling - found.cycles * mission.rig.turnaround
     bend = np.max(compute_curvature(mission.path.points))
@@ -115,7 +127,9 @@ def preview(mission: Mission) -> Preview:
         force_profile=forecast,
         localization_error=parts.errors.horizontal,
         coil_energy=found.energy,
-        reasons=[found.reason] if found.reason else [],
+        worlds=worlds,
+        remedy=find_remedy(mission) if reasons else "",
+        reasons=reasons,
     )
 
 
