@@ -4,7 +4,7 @@ import numpy as np
 
 import smolbot
 
-smolbot.run("line", seed=2, out="flown", report=False, stop__max_duration_s=10.0)
+smolbot.run("line", seed=2, out="flown", report=False, force="preview", stop__max_duration_s=10.0)
 again = smolbot.replay("flown", estimator="paper").table()
 for who in ("recorded", "replayed"):
     errors = np.hypot(again[f"{who}_x"] - again["true_x"], again[f"{who}_y"] - again["true_y"])

@@ -10,7 +10,7 @@ import typer
 
 from sim.batch.flights import PlantModel
 from smolbot.errors import InputError
-from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, parse_settings
+from smolbot.ui.cli.options import ForceOption, JsonOption, MissionArgument, RigOption, SetOption, parse_settings
 
 if TYPE_CHECKING:
     from smolbot.functions.simulate import Flight, Simulation
@@ -28,6 +28,7 @@ def simulate(
     scheduler: Annotated[str | None, typer.Option(help="Address of a dask scheduler, instead of processes.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: a new one in runs/.")] = None,
     set_: SetOption = None,
+    force: ForceOption = None,
     json: JsonOption = False,
 ) -> None:
     """Fly a mission in a simulated tank once per seed: table, pass rate with 95 % interval, results.csv, figure."""
@@ -48,7 +49,7 @@ def simulate(
 
         found = fly_seeds(
             mission, seed_list, rig=rig, plant=plant.value, jobs=jobs, scheduler=scheduler,
-            out=out or make_dated_path(f"simulate-{name}"), settings=settings, progress=progress,
+            out=out or make_dated_path(f"simulate-{name}"), settings=settings, progress=progress, force=force,
         )  # fmt: skip
     _print_results(found, json)
     raise typer.Exit(0 if found.passed == len(found.flights) else 1)

@@ -13,6 +13,7 @@ from smolbot.config.load import AnyMission, load_mission
 from smolbot.config.observation import Observation
 from smolbot.core.text_table import write_table
 from smolbot.errors import InputError
+from smolbot.flight.preview.missions import require_go
 from smolbot.functions.simulate import Flight, PlantName, Simulation
 from smolbot.runs.folder import RunFolder, collect_provenance
 from smolbot.runs.recording.run_files import RunFiles
@@ -21,12 +22,13 @@ from smolbot.runs.recording.run_files import RunFiles
 def simulate(
     mission: str, seeds: Iterable[int], *, rig: str | None, plant: PlantName, jobs: int, scheduler: str | None,
     out: Path | None, settings: Mapping[str, str], progress: Callable[[Flight], None] | None,
+    force: str | None = None,
 ) -> Simulation:  # fmt: skip
     """Fly a mission once per seed.
 
     Parameters
     ----------
-    mission, seeds, rig, plant, jobs, scheduler, out, settings, progress
+    mission, seeds, rig, plant, jobs, scheduler, out, settings, progress, force
         As of `smolbot.simulate`.
 
     Returns
@@ -36,7 +38,7 @@ def simulate(
     Raises
     ------
     InputError
-        Without seeds, or if the reduced plant cannot fly this mission.
+        Without seeds, if the reduced plant cannot fly this mission, or where the preview says no-go.
     """
     seeds, settings = sorted(seeds), dict(settings)
     if not seeds:
@@ -46,6 +48,7 @@ def simulate(
         from sim.reduced.rig import require_flyable
 
         require_flyable(loaded)
+    require_go(loaded, force)
     if loaded.robot.kind == "gradient":
         loaded.rig.table()  # built once, before the workers need it
     folder = None if out is None else RunFolder(out)

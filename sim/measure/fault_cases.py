@@ -138,7 +138,8 @@ class Bench:
         elif fault == "kill -9":  # the driver dies with its host, and leaves everything as it is
             twin.inject(f"outputs_frozen@{phase}#{FAULT_SHOT}:good")
         settings = [part for text in self.settings for part in ("--set", text)]
-        command = [sys.executable, "-m", "smolbot", "run", self.mission, "--rig", self.rig, "--out", str(out)]
+        command = [sys.executable, "-m", "smolbot", "run", self.mission, "--rig", self.rig, "--out", str(out),
+                   "--force", "preview"]  # fmt: skip
         process = subprocess.Popen(
             [*command, *settings], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=os.environ | WIDE
         )

@@ -9,7 +9,7 @@ import typer
 
 from sim.batch.flights import PlantModel
 from smolbot.errors import InputError
-from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, parse_settings
+from smolbot.ui.cli.options import ForceOption, JsonOption, MissionArgument, RigOption, SetOption, parse_settings
 
 MIN_TRIALS = 2
 
@@ -30,6 +30,7 @@ def tune(
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: a new one in runs/.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the search that --out holds.")] = False,
     set_: SetOption = None,
+    force: ForceOption = None,
     json: JsonOption = False,
 ) -> None:
     """Tune a mission's gains on random simulations and validate them on held-out ones."""
@@ -52,7 +53,7 @@ def tune(
             mission, trials=trials, worlds=worlds, held_out=held_out, plant=plant.value,
             only=[gain.strip() for gain in only.split(",")] if only else None, seed=seed, rig=rig, jobs=jobs,
             scheduler=scheduler, out=out or make_dated_path(f"tune-{name}"), resume=resume, settings=settings,
-            progress=progress,
+            progress=progress, force=force,
         )  # fmt: skip
     _show(found.figures(), json)
     raise typer.Exit(0 if found.improved else 1)

@@ -14,6 +14,7 @@ from sim.tuning.verdict import FIRST_HELD_OUT, fly_held_out, is_better
 from smolbot.config.mission import Mission, load_steering_mission
 from smolbot.config.plugins import load_plugin
 from smolbot.errors import InputError, report_write_errors
+from smolbot.flight.preview.missions import require_go
 from smolbot.functions.simulate import PlantName
 from smolbot.functions.tune import Trial, Tuning
 
@@ -26,13 +27,13 @@ JOURNAL = "trials.journal"
 def tune(
     mission: str, *, trials: int, worlds: int, held_out: int, plant: PlantName, only: Sequence[str] | None, seed: int,
     rig: str | None, jobs: int, scheduler: str | None, out: Path | None, resume: bool, settings: Mapping[str, str],
-    progress: Callable[[int, float | None], None] | None,
+    progress: Callable[[int, float | None], None] | None, force: str | None = None,
 ) -> Tuning:  # fmt: skip
     """Tune a mission's gains.
 
     Parameters
     ----------
-    mission, trials, worlds, held_out, plant, only, seed, rig, jobs, scheduler, out, resume, settings, progress
+    mission, trials, worlds, held_out, plant, only, seed, rig, jobs, scheduler, out, resume, settings, progress, force
         As of `smolbot.tune`.
 
     Returns
@@ -42,11 +43,12 @@ def tune(
     Raises
     ------
     InputError
-        For a gain that the law does not have, or a folder that cannot be used.
+        For a gain that the law does not have, a folder that cannot be used, or where the preview says no-go.
     """
     laid = dict(settings)
     loaded = load_steering_mission(mission, rig, laid)
     problem = _make_problem(loaded, mission, rig, laid, only, worlds, seed, PlantModel(plant))
+    require_go(loaded, force)
     if loaded.robot.kind == "gradient":
         loaded.rig.table()  # built once, before the workers need it
     forget_missions()

@@ -25,6 +25,7 @@ from smolbot.errors import InputError, report_plugin_errors
 from smolbot.flight.assembly import make_learned_sensors_file, make_loop
 from smolbot.flight.loop import Loop
 from smolbot.flight.pause import Pause
+from smolbot.flight.preview.missions import Force, require_go
 from smolbot.flight.safety.heat_store import HeatMemory
 from smolbot.flight.safety.stop_latch import Latch
 from smolbot.flight.safety.stop_signals import catch_stop_signals
@@ -53,6 +54,7 @@ def run(
     witness: bool = True,
     operator: Operator | None = None,
     report: bool = True,
+    force: Force | None = None,
     **overrides: Any,
 ) -> Run:
     """Fly a mission, or carry out an observation; the same from a notebook as from the command line.
@@ -75,6 +77,8 @@ def run(
         Does by hand what no stage can do; by default, the person at the terminal.
     report : bool
         Whether to write ``report.html`` into the run folder after the run.
+    force : {"preview"}, optional
+        Fly even where the preview says no-go.
     **overrides
         Settings that replace those of the mission file, with ``__`` for the dot: ``controller__tolerance_mm=0.5``.
 
@@ -86,12 +90,12 @@ def run(
     Raises
     ------
     ConfigError, InputError
-        For every fault in the files, before anything moves.
+        For every fault in the files, and for every reason why the preview says no-go, before anything moves.
 
     Examples
     --------
     >>> import smolbot
-    >>> run = smolbot.run("line", seed=2, localization__quiet_s=0.0, stop__max_duration_s=0.5)
+    >>> run = smolbot.run("line", seed=2, force="preview", localization__quiet_s=0.0, stop__max_duration_s=0.5)
     >>> run.status, len(run.cycles) == len(run.table()["time"])
     ('timeout', True)
     """
@@ -103,6 +107,7 @@ def run(
     elif rig is not None or settings:
         raise InputError("rig and overrides belong to loading: pass the mission's name, or load it with them.")
     folder = None if out is None else RunFolder(Path(out))
+    require_go(mission, force)
     latch = Latch()
     with catch_stop_signals(latch):
         return fly(

@@ -6,16 +6,9 @@ from typing import Any
 
 from smolbot.config.load import AnyMission, load_mission
 from smolbot.config.mission_base import MissionBase
-from smolbot.config.observation import Observation
 from smolbot.errors import InputError
-from smolbot.flight.preview.gradient import Preview
-from smolbot.flight.preview.gradient import preview as preview_gradient
-from smolbot.flight.preview.helix import HelixPreview, preview_helix
-from smolbot.flight.preview.observation import ObservationPreview, preview_observation
+from smolbot.flight.preview.missions import AnyPreview, preview_mission
 from smolbot.functions.settings import merge_settings
-
-AnyPreview = Preview | HelixPreview | ObservationPreview
-"""What `preview` returns: one kind for each kind of mission; all have ``go``, ``reasons``, ``duration``."""
 
 
 def preview(mission: str | AnyMission, rig: str | None = None, **overrides: Any) -> AnyPreview:
@@ -50,6 +43,4 @@ def preview(mission: str | AnyMission, rig: str | None = None, **overrides: Any)
     loaded = load_mission(mission, rig, merge_settings(None, overrides)) if isinstance(mission, str) else mission
     if not isinstance(loaded, MissionBase):
         raise InputError(f"mission must be a name or path as text, or a loaded mission; got {mission!r}.")
-    if isinstance(loaded, Observation):
-        return preview_observation(loaded)
-    return preview_helix(loaded) if loaded.robot.kind == "helical" else preview_gradient(loaded)
+    return preview_mission(loaded)

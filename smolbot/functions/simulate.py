@@ -13,6 +13,7 @@ from smolbot.config.plugins import load_plugin
 from smolbot.core.arrays import as_count
 from smolbot.core.results import Readable, as_columns
 from smolbot.errors import InputError, suggest_name
+from smolbot.flight.preview.missions import Force
 from smolbot.functions.settings import merge_settings
 
 PlantName = Literal["full", "reduced"]
@@ -219,7 +220,7 @@ class Simulate(Protocol):
     def __call__(
         self, mission: str, seeds: Iterable[int], *, rig: str | None, plant: PlantName, jobs: int,
         scheduler: str | None, out: Path | None, settings: Mapping[str, str],
-        progress: Callable[[Flight], None] | None,
+        progress: Callable[[Flight], None] | None, force: str | None,
     ) -> Simulation:  # fmt: skip
         """Fly the mission once per seed."""
 
@@ -235,6 +236,7 @@ def simulate(
     out: str | Path | None = None,
     settings: Mapping[str, str] | None = None,
     progress: Callable[[Flight], None] | None = None,
+    force: Force | None = None,
     **overrides: Any,
 ) -> Simulation:
     """Fly a mission in a simulated tank once per seed, with mismatches sampled anew for each.
@@ -260,6 +262,8 @@ def simulate(
         Override the files; keys with dots.
     progress : callable, optional
         Called with each flight as it ends, in any order.
+    force : {"preview"}, optional
+        Fly even where the preview says no-go.
     **overrides
         Settings with ``__`` for the dot.
 
@@ -270,7 +274,7 @@ def simulate(
     Raises
     ------
     ConfigError, InputError
-        For every fault of the files, before anything flies.
+        For every fault of the files, and where the preview says no-go, before anything flies.
     PluginError
         If no package that simulates is installed.
 
@@ -289,5 +293,5 @@ def simulate(
     fly: Simulate = load_plugin("functions", "simulate")
     return fly(
         mission, wanted, rig=rig, plant=plant, jobs=jobs, scheduler=scheduler, out=None if out is None else Path(out),
-        settings=merge_settings(settings, overrides), progress=progress,
+        settings=merge_settings(settings, overrides), progress=progress, force=force,
     )  # fmt: skip

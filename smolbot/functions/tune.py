@@ -12,6 +12,7 @@ import numpy as np
 from smolbot.config.plugins import load_plugin
 from smolbot.core.arrays import as_count
 from smolbot.core.results import Readable, as_columns
+from smolbot.flight.preview.missions import Force
 from smolbot.functions.settings import merge_settings
 from smolbot.functions.simulate import PlantName, check_plant
 
@@ -133,7 +134,7 @@ class Tune(Protocol):
     def __call__(
         self, mission: str, *, trials: int, worlds: int, held_out: int, plant: PlantName, only: Sequence[str] | None,
         seed: int, rig: str | None, jobs: int, scheduler: str | None, out: Path | None, resume: bool,
-        settings: Mapping[str, str], progress: Callable[[int, float | None], None] | None,
+        settings: Mapping[str, str], progress: Callable[[int, float | None], None] | None, force: str | None,
     ) -> Tuning:  # fmt: skip
         """Search gains for the mission."""
 
@@ -154,6 +155,7 @@ def tune(
     resume: bool = False,
     settings: Mapping[str, str] | None = None,
     progress: Callable[[int, float | None], None] | None = None,
+    force: Force | None = None,
     **overrides: Any,
 ) -> Tuning:
     """Tune a mission's gains on random simulations, and validate the best on held-out ones.
@@ -188,6 +190,8 @@ def tune(
         Override the files; keys with dots.
     progress : callable, optional
         Called after each trial with the number of ended trials and the best cost so far, in mm or None.
+    force : {"preview"}, optional
+        Tune even where the preview says no-go with the present gains.
     **overrides
         Settings with ``__`` for the dot.
 
@@ -198,7 +202,7 @@ def tune(
     Raises
     ------
     ConfigError, InputError
-        For every fault of the files, before anything flies.
+        For every fault of the files, and where the preview says no-go, before anything flies.
     PluginError
         If no package that tunes is installed.
 
@@ -217,4 +221,5 @@ def tune(
         mission, trials=trials, worlds=worlds, held_out=held_out, plant=plant, only=only, seed=seed, rig=rig, jobs=jobs,
         scheduler=scheduler, out=None if out is None else Path(out), resume=resume,
         settings=merge_settings(settings, overrides), progress=progress,
+        force=force,
     )  # fmt: skip

@@ -37,7 +37,8 @@ OURS = ("smolbot", "controllers", "lookup_tables", "sim")
 PROJECT = tomllib.loads((LAB / "pyproject.toml").read_text())
 REFERENCE = HERE.parents[1] / "docs/reference/api.rst"
 
-BRIEF = ("--set", "stop.max_duration_s=1", "--set", "localization.quiet_s=0", "--no-report", "--json")
+BRIEF = ("--set", "stop.max_duration_s=1", "--set", "localization.quiet_s=0", "--force", "preview", "--no-report",
+         "--json")  # fmt: skip
 
 RIG = """
 extends = "tank"

@@ -169,7 +169,9 @@ def test_a_labs_own_controller_is_found_by_its_entry_point(lab):
 
 
 def test_a_mission_under_a_labs_own_controller_flies(lab):
-    run = smolbot.run("line", seed=1, controller__law="lazy", stop__max_duration_s=1.0, localization__quiet_s=0.0)
+    run = smolbot.run(
+        "line", seed=1, controller__law="lazy", stop__max_duration_s=1.0, localization__quiet_s=0.0, force="preview"
+    )
     assert run.status == "timeout"
     assert run.cycles[-1].command.note == "resting"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -28,6 +28,9 @@ RobotOption = Annotated[
     typer.Option("--robot", help=f"Robot, by name or path; default: the device file's, or {DEFAULT_ROBOT}."),
 ]
 DeviceOption = Annotated[Path | None, typer.Option("--device", help="Device file, from smolbot calibrate.")]
+ForceOption = Annotated[
+    Literal["preview"] | None, typer.Option("--force", help="Fly even where the preview says no-go.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 
 

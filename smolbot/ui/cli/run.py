@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from smolbot.config.load import AnyMission
     from smolbot.runs.run import Listener, Run
 
-from smolbot.ui.cli.options import JsonOption, MissionArgument, RigOption, SetOption, parse_settings
+from smolbot.ui.cli.options import ForceOption, JsonOption, MissionArgument, RigOption, SetOption, parse_settings
 
 
 def run(
@@ -29,11 +29,13 @@ def run(
         bool, typer.Option("--live", help="Show it on a console, from which it can be stopped too.")
     ] = False,
     report: Annotated[bool, typer.Option(help="Write report.html into the run folder at the end.")] = True,
+    force: ForceOption = None,
     json: JsonOption = False,
 ) -> None:
     """Fly a mission in closed loop, or observe a device; leaves a run folder with figures and picture."""
     from smolbot.config.load import load_mission
     from smolbot.core.operator import TerminalOperator
+    from smolbot.flight.preview.missions import require_go
     from smolbot.flight.safety.stop_latch import Latch
     from smolbot.flight.safety.stop_signals import catch_stop_signals
     from smolbot.flight.session import fly, make_run_folder
@@ -45,6 +47,7 @@ def run(
     settings = parse_settings(set_)
     loaded = load_mission(mission, rig, settings)
     folder = RunFolder(out) if out is not None else make_run_folder(loaded, seed)
+    require_go(loaded, force)
     latch, operator = Latch(), TerminalOperator()
     keyboard = Keyboard(partial(latch.trip, STOP_KEY_REASON, "stopped"))
     with catch_stop_signals(latch), show_progress(loaded) as progress, keyboard:

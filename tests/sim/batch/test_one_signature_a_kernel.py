@@ -13,7 +13,8 @@ from numba.core.registry import CPUDispatcher
 with tempfile.TemporaryDirectory() as folder:
     for mission in sys.argv[1:]:
         out = folder + "/" + mission
-        smolbot.run(mission, out=out, report=False, stop__max_duration_s=1.0, localization__quiet_s=1.0)
+        smolbot.run(mission, out=out, report=False, force="preview", stop__max_duration_s=1.0,
+                    localization__quiet_s=1.0)
 seen = {}
 for name, module in list(sys.modules.items()):
     if name.split(".")[0] in ("smolbot", "sim", "controllers", "lookup_tables"):

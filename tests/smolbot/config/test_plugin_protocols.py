@@ -139,7 +139,8 @@ def test_an_installed_law_is_tuned(tmp_path, mission, law, kind, gain, plant):
     """Short flights, of which none arrives: what counts is that they are flown and come to a verdict."""
     _install(tmp_path, law, kind)
     brief = ["--set", "controller.law=lab", "--set", "stop.max_duration_s=40", "--set", "localization.quiet_s=2"]
-    few = ["--trials", "2", "--worlds", "1", "--held-out", "1", "--jobs", "1", "--only", gain, "--plant", plant]
+    few = ["--trials", "2", "--worlds", "1", "--held-out", "1", "--jobs", "1", "--only", gain, "--plant", plant,
+           "--force", "preview"]  # fmt: skip
     done = _smolbot(tmp_path, "tune", mission, *brief, *few, "--out", str(tmp_path / "tuned"), "--json")
     assert done.returncode in (0, 1), done.stderr
     found = json.loads(done.stdout)

@@ -148,7 +148,7 @@ def test_no_shot_of_a_flight_pulls_before_two_poses_agree_and_all_keep_the_limit
 
 
 def test_a_notebook_flies_with_settings_and_the_same_errors(tmp_path):
-    run = smolbot.run("line", seed=3, out=tmp_path / "a", report=False, stop__max_duration_s=1.0,
+    run = smolbot.run("line", seed=3, out=tmp_path / "a", report=False, force="preview", stop__max_duration_s=1.0,
                       path__points_mm=[[-1, 0], [1, 0]], localization__quiet_s=0.0)  # fmt: skip
     assert run.status == "timeout"
     assert run.stop_reason.startswith("max_duration_s reached after 1 s")

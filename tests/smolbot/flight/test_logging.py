@@ -14,7 +14,7 @@ from smolbot.flight.safety.supervisor import make_limits_only_safety
 
 def test_events_of_a_flight_and_its_end_are_logged_once_each(caplog):
     with caplog.at_level(logging.INFO, "smolbot"):
-        run = smolbot.run("line", seed=1, stop__max_duration_s=2.0, localization__quiet_s=1.0)
+        run = smolbot.run("line", seed=1, stop__max_duration_s=2.0, localization__quiet_s=1.0, force="preview")
     messages = [record.getMessage() for record in caplog.records if record.name.startswith("smolbot.")]
     events = [text for text in messages if any(event.what in text for event in run.events)]
     assert len(events) == len(run.events) > 0
@@ -37,7 +37,7 @@ def test_without_a_handler_nothing_is_printed(capsys):
 
 
 def test_what_ended_a_run_is_in_it_with_its_fields():
-    run = smolbot.run("line", seed=1, rig__safety__max_duty=1e-6, localization__quiet_s=0.0)
+    run = smolbot.run("line", seed=1, rig__safety__max_duty=1e-6, localization__quiet_s=0.0, force="preview")
     assert run.status == "failed"
     assert run.error.limit == 1e-6
     assert run.error.value > run.error.limit
@@ -45,7 +45,7 @@ def test_what_ended_a_run_is_in_it_with_its_fields():
 
 
 def test_a_runs_cycles_are_columns():
-    run = smolbot.run("line", seed=1, stop__max_duration_s=1.0, localization__quiet_s=0.0)
+    run = smolbot.run("line", seed=1, stop__max_duration_s=1.0, localization__quiet_s=0.0, force="preview")
     table = run.table()
     assert table["time"] == pytest.approx([cycle.shot.start for cycle in run.cycles])
     assert len(repr(run)) < 2000

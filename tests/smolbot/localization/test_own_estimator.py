@@ -66,7 +66,7 @@ def test_an_estimator_that_learns_the_noise_gets_it_once(plug_in):
     plug_in("estimators", "learning", Learning)
     Learning.received = ()
     brief = {"localization.quiet_s": "2.0", "stop.max_duration_s": "1.0", "localization.estimator": "learning"}
-    run = smolbot.run(load_mission("line", settings=brief), seed=3)
+    run = smolbot.run(load_mission("line", settings=brief), seed=3, force="preview")
     assert [event.what for event in run.events] == ["noise learned"]
     assert len(Learning.received) == 1
     assert run.begun > 2.0
