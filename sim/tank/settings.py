@@ -10,10 +10,12 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from sim.tank.gel_settings import GelSettings
+from sim.tank.tank_faults import parse_tank_faults
 from smolbot.config.document import FileModel
 from smolbot.config.mismatch import MismatchSection
 from smolbot.config.units import SI, NotNegative, Positive, SIVector, Vector
 from smolbot.core.arrays import FloatArray
+from smolbot.errors import InputError
 
 MIN_DISTANCE_MM = 1.0
 """Between two points of a route: closer ones make a spline loop."""
@@ -176,8 +178,18 @@ class TankSettings(FileModel):
     mismatch: MismatchSection = MismatchSection()
     hand: OperatorSection | None = None
     place: PlaceSection | None = None
+    faults: Annotated[list[str], Field(default_factory=list)]  # as `--fault` takes them
 
     physics_step, start_scatter = SI("physics_step_ms"), SI("start_scatter_mm")
+
+    @field_validator("faults")
+    @classmethod
+    def _check_faults(cls, value: list[str]) -> list[str]:
+        try:
+            parse_tank_faults(value)
+        except InputError as error:
+            raise ValueError(str(error)) from error
+        return value
 
     @property
     def lateness(self) -> float:

@@ -37,7 +37,17 @@ from smolbot.motion.controller import Command
 from smolbot.runs.run import CycleRecord, Event, Listener, RecorderSink, Run, Status
 
 _LOG = logging.getLogger(__name__)
-_EXPECTED_ERRORS = (InterlockError, RigError, OutsideTableError)
+_EXPECTED_ERRORS = (InterlockError, RigError, OutsideTableError, InputError)
+"""What may end a flight under way: a limit, a failing rig, the edge of the field table, signals that no model fits."""
+
+LOST_SIGNALS = "lost_signals"
+"""Key of losses of the signal among what a run has recovered from."""
+
+NOTED_LOSS = 1.0
+"""Time without an accepted pose, in s, from which the record says that the signal is lost: a few outliers are none."""
+
+SHOWN_TIME = 0.05
+"""Time, in s, below which learning or pauses are not mentioned."""
 
 LEARNING_INTERVAL = 5
 """Number of cycles between two updates of resonance and noise, which change slowly."""
@@ -53,10 +63,14 @@ class StopRules:
         Counted from the first cycle on, pauses excluded.
     max_lost_shots : int
         Listening shots in a row without an accepted pose.
+    max_lost_time : float, in s
+        Time without an accepted pose. The signal is given up once both are reached: what takes its time, such as an
+        amplifier that restarts, ends nothing, and a slow cycle gets as many attempts as a fast one.
     """
 
     max_duration: float
     max_lost_shots: int
+    max_lost_time: float = 0.0
 
 
 def as_lists(sensors: SensorArray) -> dict[str, object]:
@@ -165,7 +179,10 @@ class Loop:
         self._began = self._started = 0.0
         self._paused = 0.0
         self._located = 0
-        self._miss = ""  # why the last window gave no pose, where that is known
+        self._found = 0.0  # end of the last shot with an accepted pose, in s
+        self._miss = ""  # why the last window gave no pose
+        self._lost = False  # whether the record says that the signal is lost
+        self._losses = 0  # losses of the signal that were overcome
 
     def fly(self) -> Run:
         """Cycle until the path's end, a stop rule, an error or Ctrl-C; every output is at zero afterwards.
@@ -250,7 +267,7 @@ class Loop:
         self.localizer, self.tails = first.localizer, first.tails
         first.warm_up(None if self.array_filter is None else self.array_filter.prior.frames)
         self.resonance = ResonanceFilter(self.scheduler.belief)
-        self.run.begun = self._started = self.rig.now()
+        self.run.begun = self._started = self._found = self.rig.now()
 
     def _finish(self, run: Run, error: BaseException | None) -> None:
         """Note how the run ended, bring the outputs to zero, and complete its figures."""
@@ -289,6 +306,8 @@ class Loop:
     def _count_recovered(self) -> dict[str, int]:
         """Count the faults that the flight recovered from. A kind that safety and rig both count enters once."""
         found = dict(self.safety.recovered)
+        if self._losses:
+            found[LOST_SIGNALS] = self._losses
         counted = self.rig.recovered if isinstance(self.rig, RecoveryCounter) else {}
         for kind, times in counted.items():
             name = kind.replace(" ", "_")
@@ -329,7 +348,9 @@ class Loop:
             self._tape.record_shot(shot, recording, ended)
         recording = self.safety.check_recording(shot, recording, ended)
         recording = None if recording is None else self.tails.subtract_from(shot, recording)
+        self.scheduler.blind = shot.listen is not None and recording is None
         pose: Pose | None = None
+        miss = "its recording was lost" if recording is None else ""
         swing: Oscillation | None = None
         if recording is not None:
             # an outdated prior would only mislead: a lost signal is searched for without one
@@ -339,15 +360,15 @@ class Loop:
                 with report_plugin_errors("Estimator", self.localizer, "locate"):
                     pose, swing = self.localizer.locate_swing(recording, prior)
             except InputError as error:  # too few usable channels: a missed window, counted by the tracker
-                pose, swing, self._miss = None, None, str(error)
+                pose, swing, miss = None, None, str(error)
             if pose is not None and not isinstance(pose, Pose):
                 estimator = f"{type(self.localizer).__module__}:{type(self.localizer).__qualname__}"
                 raise PluginError(f"Estimator {estimator}: locate() must return a Pose; got {pose!r}.")
             if pose is not None and pose.trusted and not np.isfinite(pose.covariance).all():
-                pose, self._miss = replace(pose, trusted=False), "the covariance of the pose is not finite"
+                pose, miss = replace(pose, trusted=False), "the covariance of the pose is not finite"
+        missed = self.tracker.misses
         tracked = self.tracker.update(shot, pose, swing)
-        if self.tracker.misses == 0:
-            self._miss = ""
+        self._note_miss(ended, missed, miss or describe_miss(pose))
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.predict(*self.tracker.motion)
         learns = not self.independent and tracked is not None and tracked.trusted
@@ -367,6 +388,23 @@ class Loop:
         done = self._clock()
         status = self.rig.status_line if isinstance(self.rig, StatusReporter) else ""
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - received), ended, status)
+
+    def _note_miss(self, ended: float, before: int, reason: str) -> None:
+        """Keep why a shot gave no accepted pose; record when the signal gets lost, and when it is back.
+
+        `before` is the number of misses before this shot.
+        """
+        if self.tracker.misses > before:
+            self._miss = reason
+            if not self._lost and ended - self._found >= NOTED_LOSS and self.tracker.pose is not None:
+                self._lost = True
+                self._record_event(ended, "signal lost", {"since_s": round(self._found, 3), "reason": reason})
+        elif self.tracker.misses == 0:
+            if self._lost:
+                self._losses += 1
+                detail = {"after_s": round(ended - self._found, 3), "shots": before, "reason": self._miss}
+                self._record_event(ended, "signal back", detail)
+            self._found, self._miss, self._lost = ended, "", False
 
     def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Oscillation) -> None:
         """Update the sensor errors and, if they have changed enough, replace the localizer's sensor array."""
@@ -402,11 +440,46 @@ class Loop:
             return "completed", command.note or "done"
         if command.stuck:
             return "stuck", command.note or "the controller gave up"
-        if self.tracker.misses >= self.rules.max_lost_shots:
+        now, rules = self.rig.now(), self.rules
+        lost_for = now - self._found
+        if self.tracker.misses >= rules.max_lost_shots and lost_for >= rules.max_lost_time:
             why = "the signal was never found" if self.tracker.pose is None else "the signal was lost"
             cause = f"; the last one: {self._miss}" if self._miss else ""
-            return "lost", f"{why}: {self.tracker.misses} shots in a row gave no trusted pose{cause}"
-        flown = self.rig.now() - self._started - self._paused
-        if flown >= self.rules.max_duration:
-            return "timeout", f"max_duration_s reached after {flown:.0f} s"
+            count = self.tracker.misses
+            if self.scheduler.blind:  # the world has failed, not the search
+                return "failed", f"Stale data: over {lost_for:.1f} s, {count} shots gave no pose; {cause[2:]}"
+            return "lost", f"{why}: {count} shots in a row, over {lost_for:.1f} s, gave no trusted pose{cause}"
+        flown = now - self._started - self._paused
+        if flown >= rules.max_duration:
+            return "timeout", f"max_duration_s reached after {flown:.0f} s{self._describe_uncounted()}"
         return None
+
+    def _describe_uncounted(self) -> str:
+        """Describe what lies between the time flown and the run's duration, which counts from its start."""
+        parts = [f"{self._started:.1f} s of learning before the first cycle"] if self._started >= SHOWN_TIME else []
+        parts += [f"{self._paused:.1f} s of pauses"] if self._paused >= SHOWN_TIME else []
+        return f", not counting {' and '.join(parts)}" if parts else ""
+
+
+def describe_miss(pose: Pose | None) -> str:
+    """Describe why a recording gave no pose that could be used.
+
+    Parameters
+    ----------
+    pose : Pose or None
+        As located.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> describe_miss(None)
+    'no pose was found in it'
+    """
+    if pose is None:
+        return "no pose was found in it"
+    if not pose.trusted:
+        return f"its pose was not trusted (the fit explains {100 * max(pose.r_squared, 0.0):.0f} % of the signal)"
+    return "its pose contradicts the tracked one"

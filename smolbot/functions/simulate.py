@@ -190,6 +190,7 @@ class Simulation(Readable):
             "ideal": self.ideal,
             "flown": len(self.flights),
             "passed": self.passed,
+            "errors": sum("error" in flight.summary for flight in self.flights),
             "pass_rate": self.passed / len(self.flights),
             "pass_rate_95": self.pass_rate_95,
             **spread,

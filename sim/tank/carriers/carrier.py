@@ -55,6 +55,20 @@ class Carrier(Protocol):
 
 
 @runtime_checkable
+class Immersed(Carrier, Protocol):
+    """A carrier in a liquid, whose drag can change."""
+
+    def scale_drag(self, translation: float, rotation: float) -> None:
+        """Set the drag to a multiple of what it was at the start.
+
+        Parameters
+        ----------
+        translation, rotation : float
+            Factors on the drag against translation and against rotation.
+        """
+
+
+@runtime_checkable
 class MagnetDriven(Carrier, Protocol):
     """A carrier that a rotating magnet moves too.
 
