@@ -87,6 +87,12 @@ class RigConfig:
         return self.calibrated.covariance if section.calibrated is not None else section.covariance
 
     @property
+    def may_leave_out_sensors(self) -> bool:
+        """Whether a flight goes on without a sensor that fails: a tank unless its rig file says otherwise."""
+        said = self.sections.safety.may_leave_out_sensors
+        return self.world == "tank" if said is None else said
+
+    @property
     def sample_rate(self) -> float:
         """Samples per second of each sensor, in Hz."""
         return self.sections.sensors.sample_rate_hz

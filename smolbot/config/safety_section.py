@@ -48,6 +48,11 @@ class SafetySection(FileModel):
 
     Without given constants, an actuation coil's heat is computed from its geometry and resistance, see
     `heat.compute_winding_heat_capacity`, and from its bare surface in still air.
+
+    Attributes
+    ----------
+    may_leave_out_sensors : bool or None
+        Whether a flight goes on without a sensor that fails; None for yes in a tank, and no in any other world.
     """
 
     ambient_c: float = 25.0
@@ -60,6 +65,7 @@ class SafetySection(FileModel):
     max_age_ms: Positive = 1000.0
     sensor_shots: Annotated[int, Field(ge=1)] = 5
     broken_sensors: list[Annotated[int, Field(ge=0)]] = Field(default_factory=list)
+    may_leave_out_sensors: bool | None = None
     coils: CoilSafety = CoilSafety()
     excitation: ExcitationSafety = ExcitationSafety()
 

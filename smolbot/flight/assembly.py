@@ -13,6 +13,7 @@ from smolbot.config.mission_base import MissionBase
 from smolbot.config.observation import Observation
 from smolbot.config.plugins import load_plugin
 from smolbot.config.sensors import SensorsFile, UncertaintySection
+from smolbot.core.arrays import FloatArray
 from smolbot.core.coil_heat import CoilHeat
 from smolbot.core.limits import Limits
 from smolbot.core.rig import Rig
@@ -25,12 +26,14 @@ from smolbot.flight.pilots import Follower, Measurer, Pilot, Watcher
 from smolbot.flight.preparation import PreparationSettings
 from smolbot.flight.safety.duty_cycle import DutyCycle
 from smolbot.flight.safety.heat_store import HeatMemory
-from smolbot.flight.safety.sensor_monitor import SensorMonitor
+from smolbot.flight.safety.sensor_monitor import NO_LIMIT, SensorMonitor
 from smolbot.flight.safety.stop_latch import Latch
 from smolbot.flight.safety.supervisor import Safety, SafetyRules
 from smolbot.flight.scheduler import Scheduler
 from smolbot.flight.stall import StallWatch
+from smolbot.flight.tracking.channel_watch import ChannelWatch
 from smolbot.flight.tracking.passive_trackers import SingleShotTracker, VelocityTracker
+from smolbot.flight.tracking.pose_gate import PoseGate
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.localization.array.filter import ArrayFilter, ArrayPrior, compute_tilt_frames
 from smolbot.localization.array.terms import DEVIATIONS_OF_DEVICE
@@ -39,6 +42,10 @@ from smolbot.localization.estimator import PoseEstimator
 from smolbot.localization.synthetic import SyntheticPoseRig
 from smolbot.motion.controller import Controller
 from smolbot.runs.run import Listener, RecorderSink
+
+TYPICAL_TOLERANCES = np.array([5e-3, 5e-3, 5e-3, 2e-4, 2e-4, 2e-4])
+"""Standard deviations of a sensor's gain (relative), two tilts (rad) and position (m) where no file states them: those
+of a laser-cut plate and of a data sheet."""
 
 
 def make_loop(
@@ -96,6 +103,7 @@ def make_loop(
         rig, scheduler, locator, tracker, pilot, rules, preparation, listeners,
         independent=isinstance(tracker, SingleShotTracker), externally_guided=isinstance(tracker, VelocityTracker),
         array_filter=None if isinstance(tracker, SingleShotTracker) else make_array_filter(mission, locator),
+        channels=make_channel_watch(mission),
         safety=make_safety(rig, mission, latch, heat_memory), tape=tape, pause=pause,
     )  # fmt: skip
 
@@ -144,7 +152,11 @@ def make_safety(
         rules,
         DutyCycle(mission.rig.driven, section.duty_window_s),
         CoilHeat(mission.rig.thermal, section.ambient_c),
-        SensorMonitor(len(rig.sensors), section.sensor_shots, section.broken_sensors),
+        SensorMonitor(
+            len(rig.sensors),
+            NO_LIMIT if mission.rig.may_leave_out_sensors else section.sensor_shots,
+            section.broken_sensors,
+        ),
         latch,
         heat_memory,
     )
@@ -158,6 +170,47 @@ def _compute_allowed_box(
     half = 0.5 * box.size + margin
     (x, y), (right, back) = box.center - half, box.center + half
     return (x, y, box.floor_z - margin), (right, back, box.surface_z + margin)
+
+
+def make_channel_watch(mission: AnyMission) -> ChannelWatch:
+    """Build the watch that leaves out sensors which disagree with the others, and rejects poses that cannot be.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+        Its rig file gives the sensors' tolerances, and whether a flight may go on without one.
+
+    Returns
+    -------
+    ChannelWatch
+    """
+    section = mission.rig.sections.safety
+    if isinstance(mission, Observation):
+        gate = PoseGate(None, None, None)
+    else:
+        box = _compute_allowed_box(mission, section.reach_margin)
+        if mission.robot.kind == "helical":
+            gate = PoseGate(box, mission.helix_setup().helix, None)
+        else:
+            setup = mission.setup()
+            gate = PoseGate(box, setup.robot, setup.table)
+    frames = compute_tilt_frames(mission.rig.sections.sensors.array)
+    return ChannelWatch(
+        gate, frames, _compute_deviations(mission), section.broken_sensors,
+        may_leave_out=mission.rig.may_leave_out_sensors, max_windows=section.sensor_shots,
+    )  # fmt: skip
+
+
+def _compute_deviations(mission: MissionBase) -> FloatArray:
+    """Compute the covariance of the deviations of sensors and device, typical ones where the rig file has none."""
+    sensors = mission.rig.sensor_covariance
+    if sensors is None:
+        sensors = np.diag(np.tile(TYPICAL_TOLERANCES, len(mission.rig.sections.sensors.array)) ** 2)
+    n = len(sensors)
+    out = np.zeros((n + DEVIATIONS_OF_DEVICE, n + DEVIATIONS_OF_DEVICE))
+    out[:n, :n] = sensors
+    out[n:, n:] = np.diag(np.array(mission.robot.device_tolerances) ** 2)
+    return out
 
 
 def make_array_filter(mission: MissionBase, locator: PoseEstimator) -> ArrayFilter | None:
@@ -174,15 +227,10 @@ def make_array_filter(mission: MissionBase, locator: PoseEstimator) -> ArrayFilt
     ArrayFilter or None
         None if the rig file gives no tolerances, or if the estimator does not learn sensors.
     """
-    covariance = mission.rig.sensor_covariance
-    if covariance is None or "sensors" not in locator.learns:
+    if mission.rig.sensor_covariance is None or "sensors" not in locator.learns:
         return None
-    n = len(covariance)
-    deviations = np.zeros((n + DEVIATIONS_OF_DEVICE, n + DEVIATIONS_OF_DEVICE))
-    deviations[:n, :n] = covariance
-    deviations[n:, n:] = np.diag(np.array(mission.robot.device_tolerances) ** 2)
     frames = compute_tilt_frames(mission.rig.sections.sensors.array)
-    return ArrayFilter(ArrayPrior(locator.sensors, locator.device, deviations, frames))
+    return ArrayFilter(ArrayPrior(locator.sensors, locator.device, _compute_deviations(mission), frames))
 
 
 def make_learned_sensors_file(mission: MissionBase, learned: ArrayFilter) -> SensorsFile:

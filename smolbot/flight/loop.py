@@ -27,6 +27,7 @@ from smolbot.flight.preparation import Preparation, PreparationSettings
 from smolbot.flight.safety.stop_signals import CTRL_C_REASON
 from smolbot.flight.safety.supervisor import Safety, make_limits_only_safety
 from smolbot.flight.scheduler import Scheduler
+from smolbot.flight.tracking.channel_watch import ChannelWatch
 from smolbot.flight.tracking.noise_monitor import NoiseMonitor
 from smolbot.flight.tracking.resonance_filter import ResonanceFilter
 from smolbot.flight.tracking.tracker import Tracker
@@ -120,6 +121,8 @@ class Loop:
         as it was learned at the start.
     array_filter : ArrayFilter, optional
         Estimates sensor errors in flight.
+    channels : ChannelWatch, optional
+        Leaves out sensors that disagree with the others, and rejects poses that cannot be.
     safety : Safety, optional
         Checks every shot and every recording; unless given, only the rig's limits are checked.
     tape : RecorderSink, optional
@@ -150,6 +153,7 @@ class Loop:
         independent: bool = False,
         externally_guided: bool = False,
         array_filter: ArrayFilter | None = None,
+        channels: ChannelWatch | None = None,
         safety: Safety | None = None,
         tape: RecorderSink | None = None,
         pause: Pause | None = None,
@@ -165,6 +169,7 @@ class Loop:
         self.tails = CoilDecays()
         self.noise_watch = NoiseMonitor(len(localizer.sensors))
         self.array_filter = array_filter
+        self.channels = channels
         self.listeners = listeners
         self.independent = independent
         self.externally_guided = externally_guided
@@ -358,7 +363,7 @@ class Loop:
             prior = None if self.independent or lost else self.tracker.pose_at(recording.middle)
             try:
                 with report_plugin_errors("Estimator", self.localizer, "locate"):
-                    pose, swing = self.localizer.locate_swing(recording, prior)
+                    pose, swing, miss = self._locate(shot, recording, prior)
             except InputError as error:  # too few usable channels: a missed window, counted by the tracker
                 pose, swing, miss = None, None, str(error)
             if pose is not None and not isinstance(pose, Pose):
@@ -369,6 +374,8 @@ class Loop:
         missed = self.tracker.misses
         tracked = self.tracker.update(shot, pose, swing)
         self._note_miss(ended, missed, miss or describe_miss(pose))
+        if self.tracker.misses == 0 and self.channels is not None:
+            self.channels.gate.accept()
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.predict(*self.tracker.motion)
         learns = not self.independent and tracked is not None and tracked.trusted
@@ -406,9 +413,23 @@ class Loop:
                 self._record_event(ended, "signal back", detail)
             self._found, self._miss, self._lost = ended, "", False
 
+    def _locate(self, shot: Shot, recording: Recording, prior: Pose | None) -> tuple[Pose, Oscillation | None, str]:
+        """Locate in a recording, with the sensors that agree with each other; the text says why no pose is trusted."""
+        watch, tracker = self.channels, self.tracker
+        if watch is None:
+            return (*self.localizer.locate_swing(recording, prior), "")
+        predicted = tracker.pose_at(recording.middle) if tracker.confirmed and not self.independent else None
+        watch.gate.add_shot(shot, None if predicted is None else predicted.position)
+        found = watch.locate(self.localizer, recording, prior, predicted)
+        for what, detail in watch.take_events():
+            self._record_event(recording.clock, what, detail)
+        return found.pose, found.swing, found.reason
+
     def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Oscillation) -> None:
         """Update the sensor errors and, if they have changed enough, replace the localizer's sensor array."""
         terms = swing.compute_array_terms(learned.prior.frames)
+        if terms is not None and self.channels is not None:
+            self.channels.add_terms(terms, learned.applied)
         if terms is None or not learned.update(pose, terms):
             return
         belief = self.scheduler.belief

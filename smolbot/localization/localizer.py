@@ -15,6 +15,7 @@ from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization import kernels
 from smolbot.localization.ambiguity import MIN_ODDS, choose_fit, compute_residual_variance, count_degrees_of_freedom
+from smolbot.localization.array.consistency import ChannelCheck, check_channels
 from smolbot.localization.array.terms import ArrayTerms, compute_array_terms
 from smolbot.localization.basis import REFERENCE_ANGLE
 from smolbot.localization.cold_start import SearchVolume, find_best_fits
@@ -116,6 +117,36 @@ class Swing:
     def misfit(self) -> float:
         """Variance of the residuals: about 1 for whitened data if only noise is left."""
         return compute_residual_variance(self._problem, self._fit)
+
+    @property
+    def white(self) -> bool:
+        """True if the data are whitened, so that the noise of each has unit variance."""
+        return self._problem.model.white
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Degrees of freedom of the residuals."""
+        return count_degrees_of_freedom(self._problem)
+
+    def check_channels(
+        self, frames: FloatArray, covariance: FloatArray, problem: Problem | None = None
+    ) -> ChannelCheck:
+        """Check whether each sensor agrees with the others.
+
+        Parameters
+        ----------
+        frames : ndarray, shape (n_sensors, 2, 3)
+            Directions of each sensor's tilts.
+        covariance : ndarray, shape (6 * n_sensors + 2, 6 * n_sensors + 2)
+            Of the deviations of sensors and device, see `ArrayPrior`.
+        problem : Problem, optional
+            The same recording with other sensors in use; the one that was fitted unless given.
+
+        Returns
+        -------
+        ChannelCheck
+        """
+        return check_channels(self._problem if problem is None else problem, self._fit, frames, covariance)
 
     def compute_energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray] | None:
         """Compute the energy of the fit residuals of each channel, and its expected value under a noise model.

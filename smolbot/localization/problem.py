@@ -399,6 +399,22 @@ def find_usable_channels(recording: Recording, sensors: SensorArray, device: Dev
     return moving & ~recording.saturated
 
 
+def find_constant_channels(field: FloatArray) -> BoolArray:
+    """Find the channels that give no signal: constant, or with values that are not finite.
+
+    Parameters
+    ----------
+    field : ndarray, shape (n_sensors, n), in T
+        Raw samples.
+
+    Returns
+    -------
+    ndarray of bool, shape (n_sensors,)
+    """
+    constant: BoolArray = ~_kernels.find_varying_channels(field)
+    return constant
+
+
 def check_enough(count: int, what: str, usable: BoolArray) -> None:
     """Raise an error that names the channels left out, if too few remain.
 
@@ -419,7 +435,7 @@ def check_enough(count: int, what: str, usable: BoolArray) -> None:
         bad = ", ".join(str(i) for i in np.flatnonzero(~usable)) or "none"
         raise InputError(
             f"Only {count} {what} can be used; at least {MIN_OUTPUTS} are needed. "
-            f"Channels saturated, constant or not finite: {bad}."
+            f"Channels saturated, constant, not finite or left out: {bad}."
         )
 
 

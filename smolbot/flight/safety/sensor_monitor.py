@@ -10,6 +10,9 @@ from smolbot.core.sensing import Recording
 
 DEAD, SATURATED = "dead", "saturated"
 
+NO_LIMIT = 1 << 62
+"""Number of windows that no flight reaches."""
+
 
 class SensorMonitor:
     """Counts, for each sensor, the listening windows in a row in which it was constant, or saturated.
@@ -18,7 +21,7 @@ class SensorMonitor:
     ----------
     n_sensors : int
     max_windows : int
-        Number of windows in a row from which a sensor is reported.
+        Number of windows in a row from which a sensor is reported; `NO_LIMIT` for never.
     ignored : collection of int
         Sensors, from 0, that are known to be broken.
     """

@@ -165,6 +165,11 @@ class ArrayFilter:
         """Covariance of the remaining deviations, shape (n, n)."""
         return self._covariance[_POSE:, _POSE:].copy()
 
+    @property
+    def applied(self) -> FloatArray:
+        """Deviations (n,) that `sensors`, `moment` and `l0` take into account."""
+        return self._applied
+
     def predict(self, step: FloatArray, turn: FloatArray, variance: FloatArray) -> None:
         """Predict: add the motion of the robot.
 

@@ -86,20 +86,41 @@ class ArrayTerms:
     amplitude: float
 
 
-def compute_array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | None:
-    """Compute the terms of a finished whitened fit.
+@dataclass(frozen=True, eq=False)
+class Changes:
+    """Change of a fit's data vector per unit of everything that may differ from what is assumed.
+
+    Attributes
+    ----------
+    out : ndarray, shape (n_out,)
+        Data vector as modelled.
+    jacobian : ndarray, shape (8, n_out)
+        Per pose, phase and amplitude.
+    deviations : ndarray, shape (6 * n_channels + 2, n_out)
+        Per deviation of the sensors that take part, then of the device.
+    disturbances : ndarray, shape (3, n_out)
+        Rotation during the recording, and errors of frequency and damping, each of unit variance.
+    """
+
+    out: FloatArray
+    jacobian: FloatArray
+    deviations: FloatArray
+    disturbances: FloatArray
+
+
+def compute_changes(problem: Problem, fit: Fit, frames: FloatArray) -> Changes:
+    """Compute how the data vector of a finished whitened fit changes with pose, sensors, device and disturbances.
 
     Parameters
     ----------
     problem : Problem
     fit : Fit
     frames : ndarray, shape (n_sensors, 2, 3)
-        Directions of each sensor's tilts; rows of sensors that took no part are left at zero.
+        Directions of each sensor's tilts.
 
     Returns
     -------
-    ArrayTerms or None
-        None where the pose is undetermined, or the misfit is too large to come from the sensors.
+    Changes
     """
     model = problem.model
     matrix, labels, positions, axes, moment, l0, angles, powers = model.constants
@@ -129,9 +150,34 @@ def compute_array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> Array
             for size, slope in zip(spread, model.slopes, strict=True)
         ]
     )
-    determined, step, covariance, sensitivity, information, right, left = separate_pose_and_deviations(
-        np.concatenate([jacobian.T, rows, out[None], (longer - out)[None] / _L0_STEP]),
+    return Changes(
+        out,
+        np.ascontiguousarray(jacobian.T),
+        np.concatenate([rows, out[None], (longer - out)[None] / _L0_STEP]),
         np.concatenate([turning, retuned]),
+    )
+
+
+def compute_array_terms(problem: Problem, fit: Fit, frames: FloatArray) -> ArrayTerms | None:
+    """Compute the terms of a finished whitened fit.
+
+    Parameters
+    ----------
+    problem : Problem
+    fit : Fit
+    frames : ndarray, shape (n_sensors, 2, 3)
+        Directions of each sensor's tilts; rows of sensors that took no part are left at zero.
+
+    Returns
+    -------
+    ArrayTerms or None
+        None where the pose is undetermined, or the misfit is too large to come from the sensors.
+    """
+    changes = compute_changes(problem, fit, frames)
+    out, n, model = changes.out, len(problem.model.positions), problem.model
+    determined, step, covariance, sensitivity, information, right, left = separate_pose_and_deviations(
+        np.concatenate([changes.jacobian, changes.deviations]),
+        changes.disturbances,
         problem.data - out,
     )
     freedom = max(len(out) - compiled.N_PARAMETERS, 1)

@@ -19,6 +19,7 @@ from smolbot.core.sensing import Recording
 from smolbot.core.shots import Actuate, Listen, Shot
 from smolbot.errors import InputError
 from smolbot.localization.noise.excitation_transients import fit_decay_sizes, learn_time_constant
+from smolbot.localization.problem import find_constant_channels
 
 MIN_FIELD = 1e-12
 """Field, in T, below which a decay is not subtracted: a hundredth of the noise of a window."""
@@ -89,6 +90,8 @@ class CoilDecays:
     def subtract_from(self, shot: Shot, recording: Recording) -> Recording:
         """Subtract from a recording the field of its shot's decaying actuation currents.
 
+        A channel that is constant measures no decay, and stays as it is.
+
         Parameters
         ----------
         shot : Shot
@@ -101,7 +104,10 @@ class CoilDecays:
         if not self.decays:
             return recording
         field = self.compute_field(shot, recording.field.shape[1], recording.sample_rate)
-        return recording if field is None else replace(recording, field=recording.field - field)
+        if field is None:
+            return recording
+        field[find_constant_channels(recording.field)] = 0.0
+        return replace(recording, field=recording.field - field)
 
 
 def identify_decay(shot: Shot, recordings: Sequence[Recording], frequency: float) -> CoilDecay | None:
