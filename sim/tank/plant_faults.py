@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,8 @@ from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray
 
-DRAG_FAULTS = ("drag", "rotation_drag", "viscosity")
+MILLI = 1e-3  # m/s per mm/s
+LIQUID_FAULTS = ("drag", "rotation_drag", "viscosity", "flow")
 
 
 class PlantFaults:
@@ -43,9 +45,9 @@ class PlantFaults:
         self._n_actuation, self._n_coils = len(rig.sections.coils), len(rig.driven)
 
     @property
-    def changes_drag(self) -> bool:
-        """Whether any fault, present or not, changes the drag."""
-        return any(fault.name in DRAG_FAULTS for fault in self._schedule.faults)
+    def changes_liquid(self) -> bool:
+        """Whether any fault, present or not, changes the liquid's drag or flow."""
+        return any(fault.name in LIQUID_FAULTS for fault in self._schedule.faults)
 
     def compute_current_factors(self, time: float) -> FloatArray:
         """Compute by how much each coil's current differs from its command.
@@ -82,6 +84,25 @@ class PlantFaults:
         translation, rotation : float
         """
         return self._multiply(time, "drag", "viscosity"), self._multiply(time, "rotation_drag", "viscosity")
+
+    def compute_flow(self, time: float) -> tuple[float, float]:
+        """Compute by how much the liquid flows faster.
+
+        Parameters
+        ----------
+        time : float, in s
+
+        Returns
+        -------
+        x, y : float, in m/s
+            World frame.
+        """
+        x = y = 0.0
+        for index, fault in enumerate(self._schedule.faults):
+            if fault.name == "flow" and self._schedule.is_active(index, time):
+                speed, direction = MILLI * fault.values[0], math.radians(fault.values[1])
+                x, y = x + speed * math.cos(direction), y + speed * math.sin(direction)
+        return x, y
 
     def pack_device(self, time: float) -> FloatArray:
         """Pack the true device, as `sim.tank.magnetics.device_packing.pack_true_device` does, with its faults.

@@ -42,6 +42,18 @@ class SurfaceSection(FileModel):
     meniscus_n_per_m2: NotNegative = 28.0
 
 
+class FlowSection(FileModel):
+    """How the liquid flows that the rig file's ``[medium]`` section gives a speed, `flow_mm_s`."""
+
+    direction_deg: float | None = None
+    rotating_percent: Annotated[float, Field(ge=0, le=100)] = 0.0
+
+    @property
+    def direction(self) -> float | None:
+        """Direction of the current in rad, from world x toward y, or None if it is sampled."""
+        return None if self.direction_deg is None else math.radians(self.direction_deg)
+
+
 class RouteSection(FileModel):
     """A route into the container for the tip of a flexible endoscope; it returns along the same route."""
 
@@ -174,6 +186,7 @@ class TankSettings(FileModel):
     wall_friction: NotNegative = 0.1
     earth: EarthSection = EarthSection()
     surface: SurfaceSection = SurfaceSection()
+    flow: FlowSection = FlowSection()
     gel: GelSettings = GelSettings()
     mismatch: MismatchSection = MismatchSection()
     hand: OperatorSection | None = None

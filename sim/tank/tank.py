@@ -91,8 +91,10 @@ class Tank:
                 self.faults, rig, self.sensors.axes, np.random.default_rng([seed, FAULT_STREAM])
             )
             self._plant_faults = PlantFaults(self.faults, rig, robot, settings, self.truth)
-            if self._plant_faults.changes_drag and not isinstance(self.carrier, Immersed):
-                raise InputError(f"--fault: '{robot.name}' of kind '{robot.kind}' has no drag that could change.")
+            if self._plant_faults.changes_liquid and not isinstance(self.carrier, Immersed):
+                raise InputError(
+                    f"--fault: '{robot.name}' of kind '{robot.kind}' swims in no liquid that could change."
+                )
         self._step = settings.physics_step
         self._low, self._high = find_magnet_volume(rig)
         self._state = np.zeros(STATE_LENGTH)
@@ -254,13 +256,14 @@ class Tank:
             self._apply_plant_faults()
 
     def _apply_plant_faults(self) -> None:
-        """Change currents, drag and device as the faults that are present now demand."""
+        """Change currents, liquid and device as the faults that are present now demand."""
         faults = self._plant_faults
         factors = faults.compute_current_factors(self.time)
         self.coils.circuits[: len(factors), COMMAND : SINE + 1] *= factors[:, None]
         self.device = faults.pack_device(self.time)
-        if faults.changes_drag and isinstance(self.carrier, Immersed):
+        if faults.changes_liquid and isinstance(self.carrier, Immersed):
             self.carrier.scale_drag(*faults.compute_drag_factors(self.time))
+            self.carrier.add_flow(*faults.compute_flow(self.time))
 
     def _begin_trace(self, rows: int) -> None:
         """Keep the history that the sensors' low pass still needs, and reserve `rows` more rows."""

@@ -51,6 +51,9 @@ TANK_FAULTS = {
     "drag": FaultKind("the drag against translation is another one, by a factor", values=(_FACTOR,)),
     "rotation_drag": FaultKind("the drag against rotation is another one, by a factor", values=(_FACTOR,)),
     "viscosity": FaultKind("the drag against both is another one, by a factor", values=(_FACTOR,)),
+    "flow": FaultKind(
+        "the liquid flows", values=(FaultValue("speed", "mm/s"), FaultValue("direction from x toward y", "deg", 0.0))
+    ),
     "resonance_shift": FaultKind("the device's resonance moves", values=(FaultValue("shift", "Hz"),)),
     "damping": FaultKind("the device's damping is another one, by a factor", values=(_FACTOR,)),
     "moment": FaultKind("the device's moment is another one, by a factor", values=(_FACTOR,)),

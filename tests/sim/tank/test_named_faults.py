@@ -172,6 +172,20 @@ def test_speed_under_a_steady_pull_is_inverse_to_drag(fault: str, factor: float)
     assert compute_path(fault) / compute_path() == pytest.approx(factor, rel=0.35)
 
 
+def test_a_liquid_that_begins_to_flow_takes_the_robot_along() -> None:
+    with open_tank("flow=0.8,90@1s:2") as rig:
+        assert rig.witness is not None
+        rig.play(LOOK)
+        began = rig.now()
+        for _ in range(8):
+            rig.play(Shot((RingDown(0.5),)))
+        way = [rig.witness.truth(began + t).position for t in (0.9, 1.2, 2.2, 3.2, 3.6)]
+    still, flowed, stopped = way[1] - way[0], way[2] - way[1], way[4] - way[3]
+    assert flowed[1] == pytest.approx(0.8e-3, rel=0.1)
+    assert np.linalg.norm(still) < 0.3 * np.linalg.norm(flowed)
+    assert np.linalg.norm(stopped) < 0.1 * np.linalg.norm(flowed)
+
+
 def test_a_dead_coil_carries_no_current() -> None:
     with open_tank("coil_dead.-x@2s") as rig:
         assert rig._tank._plant_faults.compute_current_factors(0.0).tolist() == [1, 1, 1, 1, 1, 1]
