@@ -119,7 +119,7 @@ class _Rollout:
             with report_plugin_errors("Controller", self.controller, "command"):
                 command = check_command(self.controller.command(self._make_pose()), self.controller)
             if command.done:
-                return None
+                return self._find_skip_reason()
             windows = command.mechanical or ((command.window,) if isinstance(command.window, Actuate) else ())
             broken = self.setup.limits.faults(Shot(windows)) if windows else []
             if broken:
@@ -146,6 +146,10 @@ class _Rollout:
             limit = self.mission.sections.stop.max_duration_s
             if self.clock - self.quiet > limit:
                 return f"it would not end within max_duration_s = {limit:g} s: {done} would be done."
+
+    def _find_skip_reason(self) -> str | None:
+        fault = self.mission.find_skip_fault(self.mission.find_visits(np.array(self.trail)))
+        return None if fault is None else f"{self.mission.law} would leave out a part: {fault}."
 
     def _advance(self, window: object) -> None:
         if isinstance(window, Actuate) and any(window.currents):
