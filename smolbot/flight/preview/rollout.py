@@ -196,6 +196,8 @@ class Rollout:
             if command.phase == "approach" or shot.mode != "track":
                 path_begun, first = self.clock, len(trail)
             reason = self._find_end(shot, command, self.clock - began, self.clock - begun, limit)
+        if reason is None:
+            reason = self._find_skip(np.array(trail))
         resistances = self.mission.rig.coil_resistances
         return Outcome(
             reason=reason or "",
@@ -234,6 +236,11 @@ class Rollout:
 
     def _describe_edge(self) -> str:
         return f"the robot would leave the field table near {_format_mm(self.world.position)}."
+
+    def _find_skip(self, trail: FloatArray) -> str | None:
+        """Return which part of the path the trail left out; None if it visited enough of it."""
+        fault = self.mission.find_skip_fault(self.mission.find_visits(trail))
+        return None if fault is None else f"{self.mission.law} would leave out a part: {fault}."
 
     def _find_refusal(self, shot: Shot) -> str | None:
         """Return why a shot would not be played; None if it would."""
