@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from smolbot.config.expected_errors import compute_horizontal_rms
 from smolbot.config.mission import Mission
 from smolbot.core.arrays import FloatArray
 from smolbot.core.results import Readable
@@ -47,7 +48,10 @@ class Preview(Readable):
     trail : ndarray, shape (n, 3), in m
         Where the robot is expected to go.
     localization_error : ndarray, shape (n,), in m
-        Horizontal rms error of one pose, along the path.
+        Horizontal rms error of one pose along the path, with sensors and device as uncertain as half the flight leaves
+        them.
+    noise_error : ndarray, shape (n,), in m
+        The same by noise alone.
     force_profile : ForceProfile or None
         The controller's force along the path; None if the controller does not compute it.
     coil_energy : float, in J
@@ -69,6 +73,7 @@ class Preview(Readable):
     trail: FloatArray
     force_profile: ForceProfile | None
     localization_error: FloatArray
+    noise_error: FloatArray
     coil_energy: float
     reasons: list[str] = field(default_factory=list)
 
@@ -93,6 +98,7 @@ def preview(mission: Mission) -> Preview:
     parts = RolloutParts.prepare(mission)
     rollout = Rollout(parts)
     found = rollout.fly()
+    expected = parts.errors.expected
     cycling = found.duration - mission.sections.localization.background_noise_duration
     played = cycling - found.cycles * mission.rig.turnaround
     bend = np.max(compute_curvature(mission.path.points))
@@ -113,7 +119,8 @@ def preview(mission: Mission) -> Preview:
         cycles=found.cycles,
         trail=found.trail,
         force_profile=forecast,
-        localization_error=parts.errors.horizontal,
+        localization_error=compute_horizontal_rms(expected.compute_covariances(0.5 * found.cycles)),
+        noise_error=compute_horizontal_rms(expected.noise),
         coil_energy=found.energy,
         reasons=[found.reason] if found.reason else [],
     )
