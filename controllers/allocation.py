@@ -65,6 +65,8 @@ def _maximize_force(rows, target, order, size, low, high, basis, matrix, work, m
     basic ones. A basis whose currents keep to their bounds is optimal.
     """
     n = low.shape[0]
+    if size > n:
+        return False  # fewer coils than equations
     for i in range(size):
         basis[i] = i
     while True:

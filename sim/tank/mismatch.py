@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from sim.tank.settings import TankSettings
+from smolbot.config.mismatch import MismatchSampler
 from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import Device
 
-MAX_SIGMAS = 3.0  # standard deviations to which mismatches are clipped: no lab builds a coil 2 mm away
 START_CLIP = 2.0  # standard deviations to which the start is clipped
-MIN_FACTOR = 0.05  # least factor on a value: it must stay positive
 
 
 class SampledValues:
@@ -29,69 +28,6 @@ class SampledValues:
         """
         values = {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
         return {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in values.items()}
-
-
-class MismatchSampler:
-    """Samples mismatches about nominal values.
-
-    The scale multiplies the samples and changes nothing else. No sample lies beyond `MAX_SIGMAS` standard deviations.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    scale : float
-        Factor on every standard deviation; 0 gives the nominal values.
-    """
-
-    def __init__(self, rng: np.random.Generator, scale: float) -> None:
-        self._rng = rng
-        self._scale = scale
-
-    def sample_offsets(self, deviation: float, *shape: int) -> FloatArray:
-        """Sample offsets from zero.
-
-        Parameters
-        ----------
-        deviation : float
-            Standard deviation, in any unit.
-        *shape : int
-            Shape of the result.
-
-        Returns
-        -------
-        ndarray, shape `shape`, in the unit of `deviation`
-        """
-        return self._scale * deviation * np.clip(self._rng.standard_normal(shape), -MAX_SIGMAS, MAX_SIGMAS)
-
-    def sample_factors(self, deviation: float, *shape: int) -> FloatArray:
-        """Sample factors about 1, none below 0.05.
-
-        Parameters
-        ----------
-        deviation : float
-            Standard deviation, as a fraction.
-        *shape : int
-            Shape of the result.
-
-        Returns
-        -------
-        ndarray, shape `shape`
-        """
-        return np.maximum(1.0 + self.sample_offsets(deviation, *shape), MIN_FACTOR)
-
-    def sample_factor(self, deviation: float) -> float:
-        """Sample a single factor about 1.
-
-        Parameters
-        ----------
-        deviation : float
-            Standard deviation, as a fraction.
-
-        Returns
-        -------
-        float
-        """
-        return float(self.sample_factors(deviation, 1)[0])
 
 
 @dataclass(frozen=True, eq=False)

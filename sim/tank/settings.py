@@ -11,43 +11,12 @@ from pydantic import Field, field_validator
 
 from sim.tank.gel_settings import GelSettings
 from smolbot.config.document import FileModel
+from smolbot.config.mismatch import MismatchSection
 from smolbot.config.units import SI, NotNegative, Positive, SIVector, Vector
 from smolbot.core.arrays import FloatArray
 
 MIN_DISTANCE_MM = 1.0
 """Between two points of a route: closer ones make a spline loop."""
-
-
-class MismatchSection(FileModel):
-    """Standard deviations of one tank's mismatches; samples are clipped to three of them."""
-
-    scale: NotNegative = 1.0
-    coil_place_mm: NotNegative = 0.3
-    coil_axis_deg: NotNegative = 0.5
-    coil_gain_percent: NotNegative = 2.0
-    time_constant_percent: NotNegative = 5.0
-    drag_percent: NotNegative = 5.0
-    rotation_drag_percent: NotNegative = 5.0
-    drag_anisotropy_percent: NotNegative = 5.0
-    density_percent: NotNegative = 1.0
-    moment_percent: NotNegative = 2.0
-    l0_percent: NotNegative = 3.0
-    theta_max_percent: NotNegative = 3.0
-    damping_percent: NotNegative = 5.0
-    frequency_percent: NotNegative = 0.1
-    sensor_place_mm: NotNegative = 0.2
-    sensor_gain_percent: NotNegative = 0.5
-    sensor_axis_deg: NotNegative = 0.3
-    noise_percent: NotNegative = 10.0
-    mains_frequency_percent: NotNegative = 0.02
-
-    coil_place, coil_axis, coil_gain = SI("coil_place_mm"), SI("coil_axis_deg"), SI("coil_gain_percent")
-    time_constant, drag = SI("time_constant_percent"), SI("drag_percent")
-    rotation_drag, drag_anisotropy = SI("rotation_drag_percent"), SI("drag_anisotropy_percent")
-    density, moment, l0 = SI("density_percent"), SI("moment_percent"), SI("l0_percent")
-    theta_max, damping, frequency = SI("theta_max_percent"), SI("damping_percent"), SI("frequency_percent")
-    sensor_place, sensor_gain, sensor_axis = SI("sensor_place_mm"), SI("sensor_gain_percent"), SI("sensor_axis_deg")
-    noise, mains_frequency = SI("noise_percent"), SI("mains_frequency_percent")
 
 
 class EarthSection(FileModel):

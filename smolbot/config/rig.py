@@ -11,6 +11,7 @@ import numpy as np
 from smolbot.config.alternatives import SINGLE_AXIS
 from smolbot.config.document import Document, Fault, FileModel, Model, validate
 from smolbot.config.library import open_file
+from smolbot.config.mismatch import MismatchSection
 from smolbot.config.plugins import list_plugins, load_plugin, load_world
 from smolbot.config.rig_sections import MagnetSection, Range, RigFile
 from smolbot.config.sensors import CalibratedSensors, load_sensors
@@ -156,6 +157,20 @@ class RigConfig:
             With every fault of the section.
         """
         section, faults = self.document.section(world, model)
+        if section is None:
+            raise self.document.error(faults)
+        return section
+
+    @cached_property
+    def mismatch(self) -> MismatchSection:
+        """By how much the rig may differ from its file; the defaults where ``[tank.mismatch]`` does not stand there.
+
+        Raises
+        ------
+        ConfigError
+            With every fault of the section.
+        """
+        section, faults = validate(MismatchSection, self.sections.tank.get("mismatch", {}), ("tank", "mismatch"))
         if section is None:
             raise self.document.error(faults)
         return section

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from controllers import ForceAllocator, UnreachableForceError
+from controllers.allocation import _maximize_force
 from lookup_tables import OutsideTableError
 from smolbot.errors import InputError
 from tests.conftest import mission_of, setup_of
@@ -303,3 +304,16 @@ def test_limits_must_make_sense(fault):
     given = {"max_current": 8.0, "moment": 1e-3, "least_field": 1e-4} | fault
     with pytest.raises(InputError, match="above 0"):
         ForceAllocator(known().table, **given)
+
+
+@pytest.mark.parametrize("n_coils", [1, 2])
+def test_fewer_coils_than_equations_have_no_solution_and_nothing_outside_the_arrays_is_written(n_coils):
+    equations, untouched = 3, 7.0
+    memory = np.full(8, untouched)
+    currents = memory[:n_coils]
+    found = _maximize_force(
+        np.ones((4, n_coils)), np.zeros(4), np.array([0, 2, 3, 1]), equations, np.zeros(n_coils), np.ones(n_coils),
+        np.empty(4, np.int64), np.empty((4, 4)), np.empty(4), np.empty(4), currents,
+    )  # fmt: skip
+    assert not found
+    np.testing.assert_array_equal(memory[n_coils:], untouched)

@@ -12,6 +12,8 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.results import Readable
 from smolbot.core.shots import Actuate, Shot
 from smolbot.errors import report_plugin_errors
+from smolbot.flight.preview.drawn_worlds import DrawnWorlds, fly_drawn_worlds
+from smolbot.flight.preview.remedies import find_remedy
 from smolbot.flight.preview.rollout import Rollout, RolloutParts
 from smolbot.motion.controller import ForceForecast, ForceProfile
 from smolbot.paths.corners import compute_curvature, find_corners
@@ -55,6 +57,10 @@ class Preview(Readable):
     force_profile : ForceProfile or None
         The controller's force along the path; None if the controller does not compute it.
     coil_energy : float, in J
+    worlds : DrawnWorlds or None
+        Flights in worlds that differ from the files a little; None where the mission does not end even in its own.
+    remedy : str
+        Settings with which a mission would end that does not; empty if none was sought or found.
     reasons : list of str
         Why not to fly; empty means go.
     """
@@ -75,6 +81,8 @@ class Preview(Readable):
     localization_error: FloatArray
     noise_error: FloatArray
     coil_energy: float
+    worlds: DrawnWorlds | None = None
+    remedy: str = ""
     reasons: list[str] = field(default_factory=list)
 
     @property
@@ -99,6 +107,10 @@ def preview(mission: Mission) -> Preview:
     rollout = Rollout(parts)
     found = rollout.fly()
     expected = parts.errors.expected
+    reasons, worlds = [found.reason] if found.reason else [], None
+    if not reasons:
+        worlds = fly_drawn_worlds(parts)
+        reasons = [] if worlds.suffices else [worlds.describe_failures()]
     cycling = found.duration - mission.sections.localization.background_noise_duration
     played = cycling - found.cycles * mission.rig.turnaround
     bend = np.max(compute_curvature(mission.path.points))
@@ -122,7 +134,9 @@ def preview(mission: Mission) -> Preview:
         localization_error=compute_horizontal_rms(expected.compute_covariances(0.5 * found.cycles)),
         noise_error=compute_horizontal_rms(expected.noise),
         coil_energy=found.energy,
-        reasons=[found.reason] if found.reason else [],
+        worlds=worlds,
+        remedy=find_remedy(mission) if reasons else "",
+        reasons=reasons,
     )
 
 

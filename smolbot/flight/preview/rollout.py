@@ -89,10 +89,14 @@ class Outcome:
         Why the path's end is not reached; empty if it is.
     duration, path_time : float, in s
         In all, with the learning phase; from the path's start on.
+    learned_at : float, in s
+        End of the learning phase, from which on the time limit counts.
     cycles : int
     energy : float, in J
         Heat in the actuation coils.
     trail : ndarray, shape (n, 3), in m, world frame
+    first_on_path : int
+        Index in `trail` of the first position after the path's start was reached.
     done : float, in m
         Arc length that was covered.
     shots : list of Shot
@@ -104,9 +108,11 @@ class Outcome:
     reason: str
     duration: float
     path_time: float
+    learned_at: float
     cycles: int
     energy: float
     trail: FloatArray
+    first_on_path: int
     done: float
     shots: list[Shot] = field(repr=False)
     peaks: list[float] = field(repr=False)
@@ -168,7 +174,7 @@ class Rollout:
         begun = path_begun = self.clock
         limit = self.mission.sections.stop.max_duration_s
         shots: list[Shot] = []
-        trail = [self.world.position]
+        trail, first = [self.world.position], 0
         command, reason = Command(None, note="no pose yet"), None
         while reason is None and not command.done:
             shot = self._scheduler.next(command, self._tracker)
@@ -188,16 +194,18 @@ class Rollout:
                 reason = self._describe_edge()
                 break
             if command.phase == "approach" or shot.mode != "track":
-                path_begun = self.clock
+                path_begun, first = self.clock, len(trail)
             reason = self._find_end(shot, command, self.clock - began, self.clock - begun, limit)
         resistances = self.mission.rig.coil_resistances
         return Outcome(
             reason=reason or "",
             duration=self.clock,
             path_time=self.clock - path_begun,
+            learned_at=begun,
             cycles=len(shots),
             energy=compute_heat(shots, resistances),
             trail=np.array(trail),
+            first_on_path=first,
             done=max(self._stall.arc_length, command.progress),
             shots=shots,
             peaks=list(self._safety.heat.peaks),

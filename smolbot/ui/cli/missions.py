@@ -83,6 +83,8 @@ def _show_preview(mission: Mission, found: Preview, json: bool) -> None:
         *_force_rows(mission, found.force_profile),
         ("localization error", f"{error.min():.2f} to {error.max():.2f} mm rms in the plane, each pose"),
         ("coil energy", f"{found.coil_energy:.0f} J"),
+        *([("in drawn worlds", str(found.worlds))] if found.worlds is not None else []),
+        *([("what would do", found.remedy)] if found.remedy else []),
     ]
     figures = {
         **make_cycle_figures(found),
@@ -97,6 +99,8 @@ def _show_preview(mission: Mission, found: Preview, json: bool) -> None:
         **_force_figures(found.force_profile),
         "localization_error_mm": {"min": error.min(), "max": error.max()},
         "coil_energy_j": found.coil_energy,
+        "drawn_worlds": None if found.worlds is None else {"flown": found.worlds.flown, "ended": found.worlds.ended},
+        "remedy": found.remedy,
     }
     show_verdict(mission, found, rows, figures if json else None)
 

@@ -12,8 +12,9 @@ from sim.tank.carriers.gel import gel_kernels
 from sim.tank.carriers.gel.mismatch import make_gel_generators, pack_cube, pack_gel, pack_inclusions, sample_gel
 from sim.tank.magnetics.cantilever import MIDDLE
 from sim.tank.magnetics.device_packing import pack_true_device
-from sim.tank.mismatch import MAX_SIGMAS, TankTruth
+from sim.tank.mismatch import TankTruth
 from sim.tank.settings import TankSettings
+from smolbot.config.mismatch import MAX_SIGMAS
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.tank.carriers.gel import gel_kernels
-from sim.tank.mismatch import MAX_SIGMAS, MismatchSampler, SampledValues
+from sim.tank.mismatch import SampledValues
 from sim.tank.settings import TankSettings
+from smolbot.config.mismatch import MAX_SIGMAS, MismatchSampler
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import FloatArray

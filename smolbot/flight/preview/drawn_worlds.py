@@ -1,0 +1,194 @@
+"""The share of drawn worlds in which a mission would end.
+
+A rollout in the controller's own model does not know that the liquid may be more viscous than the file says, or a coil
+weaker. A mission that ends there a second before its limit may fail in most flights. So it is flown in worlds that
+are drawn about the model, as far as the rig file says that they may differ from it (``[tank.mismatch]``).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from smolbot.config.mismatch import MismatchSampler
+from smolbot.config.mission import Mission
+from smolbot.core.arrays import FloatArray
+from smolbot.core.results import Readable
+from smolbot.flight.preview.model_world import Perturbation
+from smolbot.flight.preview.rollout import Outcome, Rollout, RolloutParts
+
+WORLDS = 20
+"""Number of worlds that are drawn, where the first ones leave a doubt."""
+
+ENOUGH_WORLDS = 10
+"""Number of worlds after which it is done if more have failed than a go allows."""
+
+FIRST_WORLDS = 6
+"""Number of worlds that suffice where each ends with room to spare: at a true share of 0.7, one time in nine."""
+
+ROOM_TO_SPARE = 0.8
+"""Share of the time limit, and of the verdict's tracking error, within which a world ends with room to spare."""
+
+MIN_SHARE = 0.9
+"""Share of the worlds that must end for a go: of twenty flights, a lab may have to repeat two."""
+
+SEED = 20
+"""Of the worlds: the same mission is told the same share each time."""
+
+START_SCATTER, START_CLIP = 0.5e-3, 2.0
+"""Standard deviation, in m, of where a hand puts the robot down, and the deviations to which it is clipped."""
+
+FIELD_EXPONENT = 4.0
+"""Power of the distance to a coil with which its gradient falls off: so much a misplaced coil's pull differs."""
+
+
+@dataclass(frozen=True, repr=False)
+class DrawnWorlds(Readable):
+    """Flights of a mission in drawn worlds, simulated on the controller's model.
+
+    Attributes
+    ----------
+    flown : int
+        Number of worlds.
+    ended : int
+        Number of those in which the path's end was reached in time and the verdict's tracking error was kept.
+    durations : ndarray, shape (flown,), in s
+        With the learning phase; nan where the path's end was not reached.
+    tracking_errors : ndarray, shape (flown,), in m
+        Mean distance of the robot from the path.
+    reasons : tuple of str
+        Why the others failed, the most frequent kind first, one for each of them.
+    """
+
+    flown: int
+    ended: int
+    durations: FloatArray
+    tracking_errors: FloatArray
+    reasons: tuple[str, ...]
+
+    @property
+    def share(self) -> float:
+        """Share of the worlds in which the mission ends in time."""
+        return self.ended / self.flown
+
+    @property
+    def suffices(self) -> bool:
+        """Whether the share is enough for a go."""
+        return self.share >= MIN_SHARE
+
+    def __str__(self) -> str:
+        return f"{self.ended} of {self.flown} in time"
+
+    def describe_failures(self) -> str:
+        """Describe how many worlds fail, and why the most frequent kind does.
+
+        Returns
+        -------
+        str
+            A sentence that begins in lower case, for the reasons of a no-go.
+        """
+        return (
+            f"it would end in time in {self.ended} of {self.flown} drawn worlds, and {MIN_SHARE:.0%} are asked; "
+            f"in most of the others {self.reasons[0]}"
+        )
+
+
+@dataclass(frozen=True)
+class _Flown:
+    """One world: what happened, and whether it ended, and with room to spare."""
+
+    outcome: Outcome
+    tracking_error: float
+    reason: str
+    easily: bool
+
+
+def fly_drawn_worlds(parts: RolloutParts, worlds: int = WORLDS, first: int = FIRST_WORLDS) -> DrawnWorlds:
+    """Fly a mission in worlds that are drawn about the controller's model.
+
+    Parameters
+    ----------
+    parts : RolloutParts
+        Of the mission.
+    worlds : int
+        Most worlds to fly.
+    first : int
+        Number of worlds that suffice if all of them end with room to spare.
+
+    Returns
+    -------
+    DrawnWorlds
+    """
+    flown: list[_Flown] = []
+    failed: list[str] = []
+    for number in range(worlds):
+        flown.append(_fly_one(parts, number))
+        failed += [flown[-1].reason] if flown[-1].reason else []
+        hopeless = len(failed) > (1.0 - MIN_SHARE) * worlds
+        if (hopeless and len(flown) >= ENOUGH_WORLDS) or (len(flown) == first and all(one.easily for one in flown)):
+            break
+    return DrawnWorlds(
+        flown=len(flown),
+        ended=len(flown) - len(failed),
+        durations=np.array([np.nan if world.outcome.reason else world.outcome.duration for world in flown]),
+        tracking_errors=np.array([world.tracking_error for world in flown]),
+        reasons=_sort_by_kind(failed),
+    )
+
+
+def draw_perturbation(mission: Mission, number: int) -> Perturbation:
+    """Draw how a world differs from what the mission's files say.
+
+    Parameters
+    ----------
+    mission : Mission
+    number : int
+        Of the world: the same number is the same world.
+
+    Returns
+    -------
+    Perturbation
+    """
+    section, coils = mission.rig.mismatch, mission.rig.sections.coils
+    rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence([SEED, number])))
+    spreads = MismatchSampler(rng, section.scale)
+    one = spreads.sample_factor
+    away = np.array([np.linalg.norm(mission.path.points.mean(axis=0) - np.array(coil.center)) for coil in coils])
+    gains = spreads.sample_factors(section.coil_gain, len(coils))
+    nearer = spreads.sample_offsets(section.coil_place, len(coils))
+    return Perturbation(
+        drag=one(section.drag) * one(section.drag_anisotropy),
+        rotational_drag=one(section.rotation_drag) * one(section.drag_anisotropy),
+        moment=one(section.moment),
+        coil_gains=gains * (1.0 + FIELD_EXPONENT * nearer / away) if len(coils) else None,
+        start_offset=START_SCATTER * np.clip(rng.standard_normal(2), -START_CLIP, START_CLIP),
+        heading=float(rng.uniform(-np.pi, np.pi)),
+        pose_bias=section.scale * rng.standard_normal(6),
+    )
+
+
+def _fly_one(parts: RolloutParts, number: int) -> _Flown:
+    mission = parts.mission
+    outcome = Rollout(parts, draw_perturbation(mission, number), seed=number).fly()
+    on_path = outcome.trail[outcome.first_on_path :]
+    error = float(np.mean(mission.path.project(on_path)[1])) if len(on_path) else float("nan")
+    limit, most = mission.sections.stop.max_duration_s, mission.sections.verdict.mean_tracking_mm
+    reason, easily = outcome.reason, outcome.duration - outcome.learned_at <= ROOM_TO_SPARE * limit
+    if most is not None and error > most * 1e-3:
+        reason = reason or f"its mean tracking error would be {error * 1e3:.2f} mm, above mean_tracking_mm = {most:g}."
+    if most is not None and error > ROOM_TO_SPARE * most * 1e-3:
+        easily = False
+    return _Flown(outcome, error, reason, easily and not reason)
+
+
+def _sort_by_kind(reasons: Sequence[str]) -> tuple[str, ...]:
+    """Sort reasons by how often their first words occur, the most frequent first."""
+    kinds = Counter(_kind(reason) for reason in reasons)
+    return tuple(sorted(reasons, key=lambda reason: -kinds[_kind(reason)]))
+
+
+def _kind(reason: str) -> str:
+    return " ".join(reason.split()[:4])
