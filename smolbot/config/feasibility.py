@@ -10,16 +10,18 @@ from smolbot.config.document import Fault
 from smolbot.config.mission_base import MissionBase
 from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import FloatArray
+from smolbot.core.drive import compute_drive
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_axes
 from smolbot.core.sensing import Device
 from smolbot.core.shots import Shot
 from smolbot.errors import ConfigError
-from smolbot.localization.bounds import ListeningWindow, compute_pose_bound
+from smolbot.localization.bounds import ListeningWindow, Response
 from smolbot.localization.chain import MEAN_WINDOW
 from smolbot.localization.expected_covariance import compute_expected_covariance
 from smolbot.localization.noise.room import NoiseLevels
 from smolbot.localization.problem import MIN_OUTPUTS
+from smolbot.motion.robot import compute_magnet_inertia
 from smolbot.paths.curve import Curve
 
 Point = tuple[float, float]
@@ -29,6 +31,9 @@ UP = np.array([0.0, 0.0, 1.0])
 
 N_PATH_POINTS = 5
 """Of a path, at which a tolerance is held against the error to be expected."""
+
+MIN_AMPLITUDE = 1e-3
+"""Least amplitude, in rad, for which an error is computed: a device that no coil drives swings by none."""
 
 N_MAINS_DIRECTIONS = 3
 """Drawn directions of the mains that an expected error is averaged over."""
@@ -192,7 +197,7 @@ def compute_expected_errors(mission: MissionBase, path: Curve, arc: FloatArray) 
 
 
 def compute_covariances_along(mission: MissionBase, path: Curve, arc: FloatArray) -> FloatArray:
-    """Compute the expected covariance of one pose at points of a path.
+    """Compute the expected covariance of one pose at points of a path, by noise alone.
 
     The robot heads along the path.
 
@@ -208,11 +213,42 @@ def compute_covariances_along(mission: MissionBase, path: Curve, arc: FloatArray
     ndarray, shape (n, 6, 6), in m and rad
         Position, then rotation, in the world frame.
     """
+    return compute_expected_covariances(mission, *compute_states_along(mission, path, arc))
+
+
+def compute_states_along(
+    mission: MissionBase, path: Curve, arc: FloatArray
+) -> tuple[FloatArray, list[FloatArray], FloatArray]:
+    """Compute where a robot is along a path, how it lies, and how far its device swings there.
+
+    Parameters
+    ----------
+    mission : MissionBase
+    path : Curve
+    arc : ndarray, shape (n,), in m
+        Arc lengths.
+
+    Returns
+    -------
+    points : ndarray, shape (n, 3), in m, world frame
+    orientations : list of ndarray, shape (4,)
+        Unit quaternions, body to world.
+    amplitudes : ndarray, shape (n,), in rad
+        At the end of the excitation, by the coils' nominal field.
+    """
+    device, cycle, points = mission.robot.device, mission.cycle, path.at(arc)
     if mission.robot.kind == "gradient":
-        headings = [compute_swimming_orientation(mission.robot.device, ahead) for ahead in path.tangent(arc)]
+        orientations = [compute_swimming_orientation(device, ahead) for ahead in path.tangent(arc)]
     else:
-        headings = [quaternion_from_axes(ahead, UP, "zy") for ahead in path.tangent(arc)]
-    return compute_expected_covariances(mission, path.at(arc), headings)
+        orientations = [quaternion_from_axes(ahead, UP, "zy") for ahead in path.tangent(arc)]
+    fields = np.stack([coil.field(points) for coil in mission.rig.flat_coils()], axis=1)
+    inertia = compute_magnet_inertia(device.moment, device.l0)
+    poses = [Pose(0.0, at, q, np.eye(6)) for at, q in zip(points, orientations, strict=True)]
+    drives = [
+        compute_drive(field, pose, device, inertia, cycle.excite_cycles, cycle.excite_current)
+        for field, pose in zip(fields, poses, strict=True)
+    ]
+    return points, orientations, np.array([max(drive.amplitude, MIN_AMPLITUDE) for drive in drives])
 
 
 def compute_swimming_orientation(device: Device, ahead: FloatArray) -> FloatArray:
@@ -233,10 +269,24 @@ def compute_swimming_orientation(device: Device, ahead: FloatArray) -> FloatArra
     return quaternion_from_axes(along * ahead - across * np.cross(UP, ahead), UP, "zy")
 
 
+def make_listening_window(mission: MissionBase) -> ListeningWindow:
+    """Make the listening window of a mission's cycle.
+
+    Parameters
+    ----------
+    mission : MissionBase
+
+    Returns
+    -------
+    ListeningWindow
+    """
+    return ListeningWindow(mission.cycle.half_periods, mission.rig.sample_rate, mission.cycle.ring_down)
+
+
 def compute_expected_covariances(
-    mission: MissionBase, points: FloatArray, orientations: list[FloatArray]
+    mission: MissionBase, points: FloatArray, orientations: list[FloatArray], amplitudes: FloatArray | None = None
 ) -> FloatArray:
-    """Compute the covariance that the estimator of a mission reaches at each pose.
+    """Compute the covariance that the estimator of a mission reaches at each pose, by noise alone.
 
     Of the mission's own estimator: ``whitened`` reaches the bound, averaged here over rooms whose mains it has learned;
     a lab's own is not known to, and can do no better.
@@ -248,6 +298,8 @@ def compute_expected_covariances(
         In the world frame.
     orientations : list of ndarray, shape (4,)
         Unit quaternions, one for each point.
+    amplitudes : ndarray, shape (n,), in rad, optional
+        Of the swing at the end of the excitation; up to the device's stops unless given.
 
     Returns
     -------
@@ -256,13 +308,17 @@ def compute_expected_covariances(
     find = (
         _compute_paper_covariances if mission.base.localization.estimator == "paper" else _compute_whitened_covariances
     )
-    return find(mission, points, orientations)
+    if amplitudes is None:
+        amplitudes = np.full(len(points), mission.robot.device.theta_max)
+    return find(mission, points, orientations, amplitudes)
 
 
-def _compute_whitened_covariances(mission: MissionBase, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
+def _compute_whitened_covariances(
+    mission: MissionBase, points: FloatArray, headings: list[FloatArray], amplitudes: FloatArray
+) -> FloatArray:
     """Compute covariances (n, 6, 6) of the whitened estimator."""
-    rig = mission.rig
-    window = ListeningWindow(mission.cycle.half_periods, rig.sample_rate, mission.cycle.ring_down)
+    rig, device = mission.rig, mission.robot.device
+    window = make_listening_window(mission)
     rotations = np.array([matrix_from_quaternion(q) for q in headings])
     learned = mission.base.localization.quiet_s > 0.0
     rooms = (
@@ -270,14 +326,20 @@ def _compute_whitened_covariances(mission: MissionBase, points: FloatArray, head
         if learned
         else []
     )
-    found = [
-        compute_pose_bound(rig.sensors, mission.robot.device, noise, points, rotations, window).covariance[:, :6, :6]
-        for noise in rooms or [make_noise_levels(rig).make_model(rig.sensors)]
-    ]
-    return np.mean(found, axis=0)
+    found = np.zeros((len(points), 6, 6))
+    models = rooms or [make_noise_levels(rig).make_model(rig.sensors)]
+    for noise in models:
+        response = Response(rig.sensors, device, noise, window)
+        for amplitude in np.unique(amplitudes):
+            here = amplitudes == amplitude
+            bound = response.with_amplitude(float(amplitude)).compute_bound(points[here], rotations[here])
+            found[here] += bound.covariance[:, :6, :6] / len(models)
+    return found
 
 
-def _compute_paper_covariances(mission: MissionBase, points: FloatArray, headings: list[FloatArray]) -> FloatArray:
+def _compute_paper_covariances(
+    mission: MissionBase, points: FloatArray, headings: list[FloatArray], amplitudes: FloatArray
+) -> FloatArray:
     """Compute covariances (n, 6, 6) of the paper's estimator."""
     rig, cycle = mission.rig, mission.cycle
     found = [
@@ -289,7 +351,8 @@ def _compute_paper_covariances(mission: MissionBase, points: FloatArray, heading
             cycle.half_periods,
             rig.sample_rate,
             cycle.ring_down,
+            float(amplitude),
         )
-        for point, heading in zip(points, headings, strict=True)
+        for point, heading, amplitude in zip(points, headings, amplitudes, strict=True)
     ]
     return np.array(found)

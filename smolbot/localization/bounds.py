@@ -7,6 +7,7 @@ out (a constant at least), the bound is (J^T C^-1 J)^-1: eight unknowns, of whic
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -178,6 +179,22 @@ class Response:
         self._basis = time_functions.compute_time_basis(
             device, chain, window.sample_rate, window.since, sensors.bandwidth
         )
+
+    def with_amplitude(self, amplitude: float) -> Response:
+        """Return the response of a device that swings less, or more.
+
+        Parameters
+        ----------
+        amplitude : float, in rad
+            At the end of the drive.
+
+        Returns
+        -------
+        Response
+        """
+        other = copy.copy(self)
+        other.amplitude = amplitude / time_functions.REFERENCE_ANGLE
+        return other
 
     def compute_bound(self, positions: npt.ArrayLike, rotations: npt.ArrayLike) -> Bound:
         """Compute the bound at some poses, averaged over phases.

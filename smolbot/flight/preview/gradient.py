@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from smolbot.config.expected_errors import compute_horizontal_rms
 from smolbot.config.mission import Mission
 from smolbot.core.arrays import FloatArray
 from smolbot.core.results import Readable
@@ -49,7 +50,10 @@ class Preview(Readable):
     trail : ndarray, shape (n, 3), in m
         Where the robot is expected to go.
     localization_error : ndarray, shape (n,), in m
-        Horizontal rms error of one pose, along the path.
+        Horizontal rms error of one pose along the path, with sensors and device as uncertain as half the flight leaves
+        them.
+    noise_error : ndarray, shape (n,), in m
+        The same by noise alone.
     force_profile : ForceProfile or None
         The controller's force along the path; None if the controller does not compute it.
     coil_energy : float, in J
@@ -75,6 +79,7 @@ class Preview(Readable):
     trail: FloatArray
     force_profile: ForceProfile | None
     localization_error: FloatArray
+    noise_error: FloatArray
     coil_energy: float
     worlds: DrawnWorlds | None = None
     remedy: str = ""
@@ -101,6 +106,7 @@ def preview(mission: Mission) -> Preview:
     parts = RolloutParts.prepare(mission)
     rollout = Rollout(parts)
     found = rollout.fly()
+    expected = parts.errors.expected
     reasons, worlds = [found.reason] if found.reason else [], None
     if not reasons:
         worlds = fly_drawn_worlds(parts)
@@ -125,7 +131,8 @@ def preview(mission: Mission) -> Preview:
         cycles=found.cycles,
         trail=found.trail,
         force_profile=forecast,
-        localization_error=parts.errors.horizontal,
+        localization_error=compute_horizontal_rms(expected.compute_covariances(0.5 * found.cycles)),
+        noise_error=compute_horizontal_rms(expected.noise),
         coil_energy=found.energy,
         worlds=worlds,
         remedy=find_remedy(mission) if reasons else "",

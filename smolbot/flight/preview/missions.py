@@ -54,7 +54,8 @@ def require_go(mission: AnyMission, force: str | None = None) -> None:
         return
     found = preview_mission(mission)
     if not found.go:
+        remedy = f"In the model it ends with {found.remedy}. " if isinstance(found, Preview) and found.remedy else ""
         raise InputError(
-            f"preview of {mission.name} on {mission.rig.name}: no-go: {' '.join(found.reasons)} Nothing was flown. "
-            "To fly it all the same: --force preview, or force='preview' from Python."
+            f"preview of {mission.name} on {mission.rig.name}: no-go: {' '.join(found.reasons)} {remedy}"
+            "Nothing was flown. To fly it all the same: --force preview, or force='preview' from Python."
         )

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from smolbot.config.feasibility import compute_covariances_along, compute_swimming_orientation
+from smolbot.config.expected_errors import ExpectedErrors
+from smolbot.config.feasibility import compute_states_along, compute_swimming_orientation
 from smolbot.config.mission import Mission
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
@@ -14,6 +15,12 @@ from smolbot.core.rotations import multiply_quaternions, quaternion_from_rotatio
 from smolbot.core.shots import Actuate, Shot
 from smolbot.motion.controller import Setup
 from smolbot.motion.gradient import advance
+
+TINY = 1e-40
+"""Least variance by which a covariance is scaled: without tolerances in the rig file, it is zero."""
+
+LEARNED_RECORDINGS = 100
+"""Number of recordings from which a flight has learned its sensors when their errors matter: a third of one."""
 
 N_ERROR_POINTS = 9
 """Points of the path at which the covariance of a pose is computed; a pose between takes that of the nearest."""
@@ -38,7 +45,7 @@ class Perturbation:
     pose_noise : float
         Factor on the noise of poses; 0 for poses without error.
     pose_bias : ndarray, shape (6,)
-        Error that every pose has, in standard deviations of a pose along its axes, such as by sensors out of place.
+        Error that every pose has by sensors and device that are not as assumed, in standard deviations along its axes.
     missed : float
         Probability that a listening window gives no pose.
     """
@@ -57,23 +64,25 @@ class Perturbation:
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
-    """Covariance of a pose along a path, computed once for all worlds of a preview.
+    """Errors of poses along a path, computed once for all worlds of a preview.
 
     Attributes
     ----------
     points : ndarray, shape (n, 2), in m, world frame
-    covariances : ndarray, shape (n, 6, 6), in m and rad
-    factors : ndarray, shape (n, 6, 6)
-        Their Cholesky factors.
+    expected : ExpectedErrors
+        At these points.
+    noise, bias : ndarray, shape (n, 6, 6)
+        Cholesky factors of the covariances by noise, and by sensors and device once a flight has learned a little.
     """
 
     points: FloatArray
-    covariances: FloatArray
-    factors: FloatArray
+    expected: ExpectedErrors
+    noise: FloatArray
+    bias: FloatArray
 
     @classmethod
     def expect(cls, mission: Mission) -> PoseErrors:
-        """Compute the covariances that the estimator of a mission reaches along its path.
+        """Compute the errors that the poses of a mission will have along its path.
 
         Parameters
         ----------
@@ -84,17 +93,10 @@ class PoseErrors:
         PoseErrors
         """
         arc = np.linspace(0.0, mission.path.length, N_ERROR_POINTS)
-        covariances = compute_covariances_along(mission, mission.path, arc)
-        scale = np.sqrt(np.einsum("nii->ni", covariances))
-        outer = scale[:, :, None] * scale[:, None, :]
-        factors = np.linalg.cholesky(covariances / outer) * scale[:, :, None]
-        return cls(mission.path.at(arc)[:, :2], covariances, factors)
-
-    @property
-    def horizontal(self) -> FloatArray:
-        """Horizontal rms error of one pose at each point, shape (n,), in m."""
-        errors: FloatArray = np.sqrt(self.covariances[:, 0, 0] + self.covariances[:, 1, 1])
-        return errors
+        states = compute_states_along(mission, mission.path, arc)
+        expected = ExpectedErrors.expect(mission, *states)
+        bias = expected.compute_sensor_part(LEARNED_RECORDINGS)
+        return cls(states[0][:, :2], expected, _factorise(expected.noise), _factorise(bias))
 
     def find_nearest(self, position: FloatArray) -> int:
         """Find the point nearest to a position.
@@ -108,6 +110,15 @@ class PoseErrors:
         int
         """
         return int(np.argmin(np.sum((self.points - position[:2]) ** 2, axis=1)))
+
+
+def _factorise(covariances: FloatArray) -> FloatArray:
+    """Compute symmetric square roots of covariances (n, 6, 6), which may be singular."""
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", covariances), TINY))
+    values, vectors = np.linalg.eigh(covariances / (scale[:, :, None] * scale[:, None, :]))
+    root = np.sqrt(np.maximum(values, 0.0))
+    out: FloatArray = scale[:, :, None] * ((vectors * root[:, None, :]) @ np.swapaxes(vectors, 1, 2))
+    return out
 
 
 class ModelWorld:
@@ -192,7 +203,8 @@ class ModelWorld:
         if drawn.missed > 0.0 and self._rng.random() < drawn.missed:
             return None
         at = self._errors.find_nearest(self.position)
-        error = self._errors.factors[at] @ (drawn.pose_noise * self._rng.standard_normal(6) + drawn.pose_bias)
+        error = self._errors.noise[at] @ (drawn.pose_noise * self._rng.standard_normal(6))
+        error = error + self._errors.bias[at] @ drawn.pose_bias
         turned = error[3:] + np.array([0.0, 0.0, self.heading])  # small errors: their order with the turn is no matter
         orientation = multiply_quaternions(quaternion_from_rotation_vector(turned), self._along_x)
-        return Pose(time, self.position + error[:3], orientation, self._errors.covariances[at])
+        return Pose(time, self.position + error[:3], orientation, self._errors.expected.noise[at])
