@@ -51,8 +51,8 @@ def simulate(
         from sim.reduced.rig import require_flyable
 
         require_flyable(loaded)
-    require_go(loaded, force)
     require_channels(loaded.rig)
+    require_go(loaded, force)
     if loaded.robot.kind == "gradient":
         loaded.rig.table()  # built once, before the workers need it
     folder = None if out is None else RunFolder(out)

@@ -55,8 +55,10 @@ class DrawnWorlds(Readable):
         Number of worlds.
     ended : int
         Number of those in which the path's end was reached in time and the verdict's tracking error was kept.
-    durations : ndarray, shape (flown,), in s
-        With the learning phase; nan where the path's end was not reached.
+    durations, path_times : ndarray, shape (flown,), in s
+        With the learning phase, and from the path's start on; nan where the path's end was not reached.
+    energies : ndarray, shape (flown,), in J
+        Heat in the actuation coils; nan likewise.
     tracking_errors : ndarray, shape (flown,), in m
         Mean distance of the robot from the path.
     reasons : tuple of str
@@ -66,6 +68,8 @@ class DrawnWorlds(Readable):
     flown: int
     ended: int
     durations: FloatArray
+    path_times: FloatArray
+    energies: FloatArray
     tracking_errors: FloatArray
     reasons: tuple[str, ...]
 
@@ -133,10 +137,17 @@ def fly_drawn_worlds(parts: RolloutParts, worlds: int = WORLDS, first: int = FIR
     return DrawnWorlds(
         flown=len(flown),
         ended=len(flown) - len(failed),
-        durations=np.array([np.nan if world.outcome.reason else world.outcome.duration for world in flown]),
+        durations=_collect(flown, "duration"),
+        path_times=_collect(flown, "path_time"),
+        energies=_collect(flown, "energy"),
         tracking_errors=np.array([world.tracking_error for world in flown]),
         reasons=_sort_by_kind(failed),
     )
+
+
+def _collect(flown: Sequence[_Flown], name: str) -> FloatArray:
+    """Collect one figure of every world; nan where the path's end was not reached."""
+    return np.array([np.nan if world.outcome.reason else getattr(world.outcome, name) for world in flown])
 
 
 def draw_perturbation(mission: Mission, number: int) -> Perturbation:
