@@ -48,6 +48,10 @@ MAX_LEFT_OUT = 3
 MIN_CHECKED = MIN_OUTPUTS + 1
 """Fewest sensors that can check each other."""
 
+MAX_SIGMA = 0.7e-3
+"""Standard deviation, in m, up to which a pose from the remaining sensors is trusted: 99.7 % of such poses are less than
+2 mm off."""
+
 RETURN_WINDOWS, MAX_RETURN_WINDOWS = 20, 320
 """Windows in a row in which a sensor must agree before it is used again: at first, and at most. Each time that it fails
 again, the number doubles."""
@@ -110,8 +114,9 @@ class ChannelWatch:
     gate : PoseGate
     frames : ndarray, shape (n_sensors, 2, 3)
         Directions of each sensor's tilts.
-    covariance : ndarray, shape (6 * n_sensors + 2, 6 * n_sensors + 2)
-        Of the deviations of sensors and device from what is assumed.
+    covariance : ndarray, shape (6 * n_sensors + 2, 6 * n_sensors + 2), or None
+        Of the deviations of sensors and device from what is assumed; None if sensors cannot check each other. While a
+        hand guides the device, what holds it moves too, and its field at a single sensor resembles a failure.
     broken : collection of int
         Sensors, from 0, that are known to be broken: they are never used.
     may_leave_out : bool
@@ -128,7 +133,7 @@ class ChannelWatch:
         self,
         gate: PoseGate,
         frames: FloatArray,
-        covariance: FloatArray,
+        covariance: FloatArray | None,
         broken: Collection[int] = (),
         *,
         may_leave_out: bool = True,
@@ -137,7 +142,8 @@ class ChannelWatch:
         self.gate = gate
         self._events: list[tuple[str, dict[str, object]]] = []
         self._frames = frames
-        self._covariance = covariance
+        self._checks = covariance is not None
+        self._covariance = np.zeros((0, 0)) if covariance is None else covariance
         self._may_leave_out = may_leave_out
         self._max_windows = max_windows
         n = len(frames)
@@ -146,7 +152,7 @@ class ChannelWatch:
         self._needed = [RETURN_WINDOWS] * n
         self._silent = np.zeros(n, dtype=np.int64)  # windows in a row without a signal
         self._failing = 0  # windows in a row with a sensor that may not be left out
-        self._information, self._right = np.zeros_like(covariance), np.zeros(len(covariance))
+        self._information, self._right = np.zeros_like(self._covariance), np.zeros(len(self._covariance))
         self._added = 0
 
     @property
@@ -201,12 +207,22 @@ class ChannelWatch:
             objection = self.gate.find_objection(pose, predicted)
             suspicious = bool(objection) or prior is None or _is_suspicious(swing)
         found = Located(pose, swing)
-        if suspicious and isinstance(swing, Swing) and isinstance(localizer, Localizer):
+        if (
+            self._checks
+            and suspicious
+            and isinstance(localizer, Localizer)
+            and isinstance(swing, Swing)
+            and swing.white
+        ):
             found = self._check(localizer, masked, prior, predicted, (pose, swing, objection))
         elif objection:
             found = Located(replace(pose, trusted=False), swing, objection)
         if self._doubts and isinstance(localizer, Localizer) and found.pose.trusted:
             self._check_return(localizer, usable, found)
+            sigma = math.sqrt(float(np.diag(found.pose.covariance)[:3].max()))
+            if sigma > MAX_SIGMA:
+                why = f"without sensors {self.left_out} the pose is known to {1e3 * sigma:.1f} mm only"
+                return Located(replace(found.pose, trusted=False), found.swing, why)
         return found
 
     def _check(
@@ -296,6 +312,8 @@ class ChannelWatch:
         applied : ndarray, shape (6 * n_sensors + 2,)
             Deviations that the fit has taken into account.
         """
+        if not self._checks:
+            return
         self._information = MEMORY * self._information + terms.information
         self._right = MEMORY * self._right + terms.right + terms.information @ applied
         self._added += 1
