@@ -22,6 +22,7 @@ from smolbot.localization.array.consistency import ChannelCheck, compute_gain_si
 from smolbot.localization.array.terms import ArrayTerms
 from smolbot.localization.estimator import Oscillation, PoseEstimator
 from smolbot.localization.localizer import Localizer, Swing
+from smolbot.localization.noise.model import NoiseModel
 from smolbot.localization.problem import MIN_OUTPUTS, find_constant_channels
 
 MIN_MISFIT_SIGMAS = 2.0
@@ -49,8 +50,11 @@ MIN_CHECKED = MIN_OUTPUTS + 1
 """Fewest sensors that can check each other."""
 
 MAX_SIGMA = 0.7e-3
-"""Standard deviation, in m, up to which a pose from the remaining sensors is trusted: 99.7 % of such poses are less than
-2 mm off."""
+"""Standard deviation, in m, up to which a pose from the remaining sensors is trusted: of such poses, 99.7 % are less
+than 2 mm off."""
+
+MAX_POWER_RATIO = 100.0
+"""Power of a sensor's residuals, relative to its noise, up to which it may only have become noisier."""
 
 RETURN_WINDOWS, MAX_RETURN_WINDOWS = 20, 320
 """Windows in a row in which a sensor must agree before it is used again: at first, and at most. Each time that it fails
@@ -325,6 +329,38 @@ class ChannelWatch:
             return
         if int(np.isfinite(sigmas).sum()) - len(self._doubts) > MIN_CHECKED:
             self._leave_out(int(np.argmax(sigmas)), float(first))
+
+    def compute_energies(
+        self, localizer: PoseEstimator, recording: Recording, swing: Oscillation, noise: NoiseModel
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Compute the energy of each sensor's fit residuals, also of one that is left out and may only be noisier.
+
+        Once its noise is known, such a sensor agrees with the others, and is used again.
+
+        Parameters
+        ----------
+        localizer : PoseEstimator
+        recording : Recording
+        swing : Oscillation
+            Found in the recording.
+        noise : NoiseModel
+
+        Returns
+        -------
+        tuple of ndarray, shape (n_sensors,), or None
+            See `Oscillation.compute_energies`.
+        """
+        energies = swing.compute_energies(recording, noise)
+        if energies is None or not self._doubts or not (isinstance(localizer, Localizer) and isinstance(swing, Swing)):
+            return energies
+        usable = _mask(recording, self._broken)
+        problem = localizer.prepare(usable, localizer.free_trend(usable))
+        everything = swing.compute_energies(usable, noise, problem)
+        assert everything is not None
+        for channel in self._doubts:
+            if everything[0][channel] < MAX_POWER_RATIO * everything[1][channel]:
+                energies[0][channel], energies[1][channel] = everything[0][channel], everything[1][channel]
+        return energies
 
     def _leave_out(self, channel: int, sigmas: float) -> None:
         self._doubts[channel] = _Doubt(self._needed[channel])
