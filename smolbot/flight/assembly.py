@@ -194,9 +194,10 @@ def make_channel_watch(mission: AnyMission) -> ChannelWatch:
         else:
             setup = mission.setup()
             gate = PoseGate(box, setup.robot, setup.table)
+    guided = isinstance(mission, Observation) and mission.motion is not None
     frames = compute_tilt_frames(mission.rig.sections.sensors.array)
     return ChannelWatch(
-        gate, frames, _compute_deviations(mission), section.broken_sensors,
+        gate, frames, None if guided else _compute_deviations(mission), section.broken_sensors,
         may_leave_out=mission.rig.may_leave_out_sensors, max_windows=section.sensor_shots,
     )  # fmt: skip
 

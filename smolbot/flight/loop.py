@@ -449,9 +449,14 @@ class Loop:
     def _refresh_noise(self, time: float, swing: Oscillation, recording: Recording) -> None:
         """Update the noise model of sensors whose noise has changed since the start."""
         noise = self.localizer.noise
-        energies = None if self.externally_guided or noise is None else swing.compute_energies(recording, noise)
+        if self.externally_guided or noise is None:
+            return
+        if self.channels is None:
+            energies = swing.compute_energies(recording, noise)
+        else:
+            energies = self.channels.compute_energies(self.localizer, recording, swing, noise)
         ratios = None if energies is None else self.noise_watch.update(*energies)
-        if noise is None or ratios is None:
+        if ratios is None:
             return
         self.localizer = self.localizer.with_noise(noise.rescaled(ratios))
         self._record_event(time, "noise refreshed", {"power_ratios": [round(float(r), 2) for r in ratios]})

@@ -148,20 +148,24 @@ class Swing:
         """
         return check_channels(self._problem if problem is None else problem, self._fit, frames, covariance)
 
-    def compute_energies(self, recording: Recording, noise: NoiseModel) -> tuple[FloatArray, FloatArray] | None:
+    def compute_energies(
+        self, recording: Recording, noise: NoiseModel, problem: Problem | None = None
+    ) -> tuple[FloatArray, FloatArray] | None:
         """Compute the energy of the fit residuals of each channel, and its expected value under a noise model.
 
         Parameters
         ----------
         recording : Recording
         noise : NoiseModel
+        problem : Problem, optional
+            The same recording with other sensors in use; the one that was fitted unless given.
 
         Returns
         -------
         tuple of ndarray, shape (n_sensors,), or None
             Energy and expected energy, in units of the noise; None for a fit without a noise model.
         """
-        model = self._problem.model
+        model = (self._problem if problem is None else problem).model
         return compute_energies(model, self._fit, recording, noise) if model.white else None
 
     def compute_array_terms(self, frames: FloatArray) -> ArrayTerms | None:

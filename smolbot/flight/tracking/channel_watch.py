@@ -22,6 +22,7 @@ from smolbot.localization.array.consistency import ChannelCheck, compute_gain_si
 from smolbot.localization.array.terms import ArrayTerms
 from smolbot.localization.estimator import Oscillation, PoseEstimator
 from smolbot.localization.localizer import Localizer, Swing
+from smolbot.localization.noise.model import NoiseModel
 from smolbot.localization.problem import MIN_OUTPUTS, find_constant_channels
 
 MIN_MISFIT_SIGMAS = 2.0
@@ -47,6 +48,13 @@ MAX_LEFT_OUT = 3
 
 MIN_CHECKED = MIN_OUTPUTS + 1
 """Fewest sensors that can check each other."""
+
+MAX_SIGMA = 0.7e-3
+"""Standard deviation, in m, up to which a pose from the remaining sensors is trusted: of such poses, 99.7 % are less
+than 2 mm off."""
+
+MAX_POWER_RATIO = 100.0
+"""Power of a sensor's residuals, relative to its noise, up to which it may only have become noisier."""
 
 RETURN_WINDOWS, MAX_RETURN_WINDOWS = 20, 320
 """Windows in a row in which a sensor must agree before it is used again: at first, and at most. Each time that it fails
@@ -110,8 +118,9 @@ class ChannelWatch:
     gate : PoseGate
     frames : ndarray, shape (n_sensors, 2, 3)
         Directions of each sensor's tilts.
-    covariance : ndarray, shape (6 * n_sensors + 2, 6 * n_sensors + 2)
-        Of the deviations of sensors and device from what is assumed.
+    covariance : ndarray, shape (6 * n_sensors + 2, 6 * n_sensors + 2), or None
+        Of the deviations of sensors and device from what is assumed; None if sensors cannot check each other. While a
+        hand guides the device, what holds it moves too, and its field at a single sensor resembles a failure.
     broken : collection of int
         Sensors, from 0, that are known to be broken: they are never used.
     may_leave_out : bool
@@ -128,7 +137,7 @@ class ChannelWatch:
         self,
         gate: PoseGate,
         frames: FloatArray,
-        covariance: FloatArray,
+        covariance: FloatArray | None,
         broken: Collection[int] = (),
         *,
         may_leave_out: bool = True,
@@ -137,7 +146,8 @@ class ChannelWatch:
         self.gate = gate
         self._events: list[tuple[str, dict[str, object]]] = []
         self._frames = frames
-        self._covariance = covariance
+        self._checks = covariance is not None
+        self._covariance = np.zeros((0, 0)) if covariance is None else covariance
         self._may_leave_out = may_leave_out
         self._max_windows = max_windows
         n = len(frames)
@@ -146,7 +156,7 @@ class ChannelWatch:
         self._needed = [RETURN_WINDOWS] * n
         self._silent = np.zeros(n, dtype=np.int64)  # windows in a row without a signal
         self._failing = 0  # windows in a row with a sensor that may not be left out
-        self._information, self._right = np.zeros_like(covariance), np.zeros(len(covariance))
+        self._information, self._right = np.zeros_like(self._covariance), np.zeros(len(self._covariance))
         self._added = 0
 
     @property
@@ -201,12 +211,22 @@ class ChannelWatch:
             objection = self.gate.find_objection(pose, predicted)
             suspicious = bool(objection) or prior is None or _is_suspicious(swing)
         found = Located(pose, swing)
-        if suspicious and isinstance(swing, Swing) and isinstance(localizer, Localizer):
+        if (
+            self._checks
+            and suspicious
+            and isinstance(localizer, Localizer)
+            and isinstance(swing, Swing)
+            and swing.white
+        ):
             found = self._check(localizer, masked, prior, predicted, (pose, swing, objection))
         elif objection:
             found = Located(replace(pose, trusted=False), swing, objection)
         if self._doubts and isinstance(localizer, Localizer) and found.pose.trusted:
             self._check_return(localizer, usable, found)
+            sigma = math.sqrt(float(np.diag(found.pose.covariance)[:3].max()))
+            if sigma > MAX_SIGMA:
+                why = f"without sensors {self.left_out} the pose is known to {1e3 * sigma:.1f} mm only"
+                return Located(replace(found.pose, trusted=False), found.swing, why)
         return found
 
     def _check(
@@ -296,6 +316,8 @@ class ChannelWatch:
         applied : ndarray, shape (6 * n_sensors + 2,)
             Deviations that the fit has taken into account.
         """
+        if not self._checks:
+            return
         self._information = MEMORY * self._information + terms.information
         self._right = MEMORY * self._right + terms.right + terms.information @ applied
         self._added += 1
@@ -307,6 +329,38 @@ class ChannelWatch:
             return
         if int(np.isfinite(sigmas).sum()) - len(self._doubts) > MIN_CHECKED:
             self._leave_out(int(np.argmax(sigmas)), float(first))
+
+    def compute_energies(
+        self, localizer: PoseEstimator, recording: Recording, swing: Oscillation, noise: NoiseModel
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Compute the energy of each sensor's fit residuals, also of one that is left out and may only be noisier.
+
+        Once its noise is known, such a sensor agrees with the others, and is used again.
+
+        Parameters
+        ----------
+        localizer : PoseEstimator
+        recording : Recording
+        swing : Oscillation
+            Found in the recording.
+        noise : NoiseModel
+
+        Returns
+        -------
+        tuple of ndarray, shape (n_sensors,), or None
+            See `Oscillation.compute_energies`.
+        """
+        energies = swing.compute_energies(recording, noise)
+        if energies is None or not self._doubts or not (isinstance(localizer, Localizer) and isinstance(swing, Swing)):
+            return energies
+        usable = _mask(recording, self._broken)
+        problem = localizer.prepare(usable, localizer.free_trend(usable))
+        everything = swing.compute_energies(usable, noise, problem)
+        assert everything is not None
+        for channel in self._doubts:
+            if everything[0][channel] < MAX_POWER_RATIO * everything[1][channel]:
+                energies[0][channel], energies[1][channel] = everything[0][channel], everything[1][channel]
+        return energies
 
     def _leave_out(self, channel: int, sigmas: float) -> None:
         self._doubts[channel] = _Doubt(self._needed[channel])
