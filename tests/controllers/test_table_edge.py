@@ -1,4 +1,4 @@
-"""A pose that the field table does not cover: a little outside counts as the nearest place inside, farther drives nothing."""
+"""Poses outside the field table: a little outside, the nearest place inside counts; farther, nothing is driven."""
 
 from __future__ import annotations
 

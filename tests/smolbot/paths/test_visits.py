@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -115,7 +117,7 @@ def test_the_share_is_the_greatest_of_all_monotone_assignments(seed):
     cells = divide_path(path, TOLERANCE)
     step = TOLERANCE / 4.0
     places = [trail[:1]]
-    for a, b in zip(trail[:-1], trail[1:], strict=True):
+    for a, b in pairwise(trail):
         count = int(np.ceil(np.linalg.norm(b - a) / step))
         places.append(a + np.arange(1, count + 1)[:, None] / count * (b - a))
     most = np.zeros(len(cells.places) + 1, dtype=int)
