@@ -180,8 +180,8 @@ class Loop:
         self._paused = 0.0
         self._located = 0
         self._found = 0.0  # end of the last shot with an accepted pose, in s
-        self._miss = ""  # why the last window gave no pose
-        self._lost = False  # whether the record says that the signal is lost
+        self._miss = ""  # why the last window gave no pose, where that is known
+        self._lost = ""  # why the signal is lost, once the record says that it is
         self._losses = 0  # losses of the signal that were overcome
 
     def fly(self) -> Run:
@@ -350,7 +350,7 @@ class Loop:
         recording = None if recording is None else self.tails.subtract_from(shot, recording)
         self.scheduler.blind = shot.listen is not None and recording is None
         pose: Pose | None = None
-        miss = "its recording was lost" if recording is None else ""
+        self._miss = "its recording was lost" if recording is None else ""
         swing: Oscillation | None = None
         if recording is not None:
             # an outdated prior would only mislead: a lost signal is searched for without one
@@ -360,15 +360,16 @@ class Loop:
                 with report_plugin_errors("Estimator", self.localizer, "locate"):
                     pose, swing = self.localizer.locate_swing(recording, prior)
             except InputError as error:  # too few usable channels: a missed window, counted by the tracker
-                pose, swing, miss = None, None, str(error)
+                pose, swing, self._miss = None, None, str(error)
             if pose is not None and not isinstance(pose, Pose):
                 estimator = f"{type(self.localizer).__module__}:{type(self.localizer).__qualname__}"
                 raise PluginError(f"Estimator {estimator}: locate() must return a Pose; got {pose!r}.")
             if pose is not None and pose.trusted and not np.isfinite(pose.covariance).all():
-                pose, miss = replace(pose, trusted=False), "the covariance of the pose is not finite"
-        missed = self.tracker.misses
+                pose, self._miss = replace(pose, trusted=False), "the covariance of the pose is not finite"
         tracked = self.tracker.update(shot, pose, swing)
-        self._note_miss(ended, missed, miss or describe_miss(pose))
+        if self.tracker.misses == 0:
+            self._miss = ""
+        self._note_loss(shot, ended, pose)
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.predict(*self.tracker.motion)
         learns = not self.independent and tracked is not None and tracked.trusted
@@ -389,22 +390,21 @@ class Loop:
         status = self.rig.status_line if isinstance(self.rig, StatusReporter) else ""
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - received), ended, status)
 
-    def _note_miss(self, ended: float, before: int, reason: str) -> None:
-        """Keep why a shot gave no accepted pose; record when the signal gets lost, and when it is back.
-
-        `before` is the number of misses before this shot.
-        """
-        if self.tracker.misses > before:
-            self._miss = reason
+    def _note_loss(self, shot: Shot, ended: float, pose: Pose | None) -> None:
+        """Record when the signal gets lost, with the reason, and when it is back."""
+        if shot.listen is None:
+            return
+        if self.tracker.misses:
+            self._miss = self._miss or describe_miss(pose)
             if not self._lost and ended - self._found >= NOTED_LOSS and self.tracker.pose is not None:
-                self._lost = True
-                self._record_event(ended, "signal lost", {"since_s": round(self._found, 3), "reason": reason})
-        elif self.tracker.misses == 0:
-            if self._lost:
-                self._losses += 1
-                detail = {"after_s": round(ended - self._found, 3), "shots": before, "reason": self._miss}
-                self._record_event(ended, "signal back", detail)
-            self._found, self._miss, self._lost = ended, "", False
+                self._lost = self._miss
+                self._record_event(ended, "signal lost", {"since_s": round(self._found, 3), "reason": self._lost})
+            return
+        if self._lost:
+            self._losses += 1
+            detail = {"after_s": round(ended - self._found, 3), "reason": self._lost}
+            self._record_event(ended, "signal back", detail)
+        self._found, self._lost = ended, ""
 
     def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Oscillation) -> None:
         """Update the sensor errors and, if they have changed enough, replace the localizer's sensor array."""
