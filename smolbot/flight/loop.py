@@ -369,7 +369,6 @@ class Loop:
         tracked = self.tracker.update(shot, pose, swing)
         if self.tracker.misses == 0:
             self._miss = ""
-        self._note_loss(shot, ended, pose)
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.predict(*self.tracker.motion)
         learns = not self.independent and tracked is not None and tracked.trusted
@@ -381,6 +380,7 @@ class Loop:
             if self._located % LEARNING_INTERVAL == 0:
                 self._update_resonance(tracked.time, swing)
                 self._refresh_noise(tracked.time, swing, recording)
+        self._note_loss(shot, ended, pose)
         answer = self.pilot.command(shot, self.tracker)
         if answer.event:
             self._record_event(shot.end, answer.event, {"note": answer.note})
@@ -389,22 +389,6 @@ class Loop:
         done = self._clock()
         status = self.rig.status_line if isinstance(self.rig, StatusReporter) else ""
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - received), ended, status)
-
-    def _note_loss(self, shot: Shot, ended: float, pose: Pose | None) -> None:
-        """Record when the signal gets lost, with the reason, and when it is back."""
-        if shot.listen is None:
-            return
-        if self.tracker.misses:
-            self._miss = self._miss or describe_miss(pose)
-            if not self._lost and ended - self._found >= NOTED_LOSS and self.tracker.pose is not None:
-                self._lost = self._miss
-                self._record_event(ended, "signal lost", {"since_s": round(self._found, 3), "reason": self._lost})
-            return
-        if self._lost:
-            self._losses += 1
-            detail = {"after_s": round(ended - self._found, 3), "reason": self._lost}
-            self._record_event(ended, "signal back", detail)
-        self._found, self._lost = ended, ""
 
     def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Oscillation) -> None:
         """Update the sensor errors and, if they have changed enough, replace the localizer's sensor array."""
@@ -434,6 +418,22 @@ class Loop:
             return
         self.localizer = self.localizer.with_noise(noise.rescaled(ratios))
         self._record_event(time, "noise refreshed", {"power_ratios": [round(float(r), 2) for r in ratios]})
+
+    def _note_loss(self, shot: Shot, ended: float, pose: Pose | None) -> None:
+        """Record when the signal gets lost, with the reason, and when it is back."""
+        if shot.listen is None:
+            return
+        if self.tracker.misses:
+            self._miss = self._miss or describe_miss(pose)
+            if not self._lost and ended - self._found >= NOTED_LOSS and self.tracker.pose is not None:
+                self._lost = self._miss
+                self._record_event(ended, "signal lost", {"since_s": round(self._found, 3), "reason": self._lost})
+            return
+        if self._lost:
+            self._losses += 1
+            detail = {"after_s": round(ended - self._found, 3), "reason": self._lost}
+            self._record_event(ended, "signal back", detail)
+        self._found, self._lost = ended, ""
 
     def _find_stop_reason(self, command: Command) -> tuple[Status, str] | None:
         if command.done:

@@ -107,6 +107,8 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         shown = [append_unit(f"{name} {values[name]:.2f}", get_unit(key)) for name in ("mean", "p95") if name in values]
         if shown:
             rows.append((label, ", ".join(shown)))
+    if "path_speed_mm_s" in s:
+        rows.append(("speed along the path", _format_speed(s)))
     rows += make_observation_rows(s)
     if s["r_squared_median"] is not None:
         rows.append(("R² (median)", f"{s['r_squared_median']:.4f}"))
@@ -139,6 +141,19 @@ def _format_coils(summary: dict[str, Any]) -> str:
         return text
     hottest = max(peaks, key=lambda name: (peaks[name] - 20.0) / (limits[name] - 20.0))
     return f"{text}, {peaks[hottest]:.0f} °C at most ({hottest}; limit {limits[hottest]:g} °C)"
+
+
+def _format_speed(summary: dict[str, Any]) -> str:
+    """Describe the mean speed along the path, and whether it is the wanted one.
+
+    Examples
+    --------
+    >>> _format_speed({"path_speed_mm_s": {"mean": 1.31, "wanted": 2.0}, "speed_reached": False})
+    '1.31 mm/s on average; wanted 2.00 mm/s: not reached'
+    """
+    speed = summary["path_speed_mm_s"]
+    late = "" if summary["speed_reached"] else ": not reached"
+    return f"{speed['mean']:.2f} mm/s on average; wanted {speed['wanted']:.2f} mm/s{late}"
 
 
 def _format_recovered(summary: dict[str, Any]) -> str:
