@@ -16,7 +16,6 @@ from smolbot.core.shots import Actuate, Rotate
 from smolbot.runs.run import Run, get_trusted_poses
 from smolbot.runs.trace import Moment, Trace, pair_with_truth
 
-
 SLOWER = 1.1
 """Factor by which a flight may take longer than its path requests before it counts as too slow: the approach to the
 speed, and a drag that is a few per cent more, are no failure."""
