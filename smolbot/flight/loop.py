@@ -46,6 +46,9 @@ LOST_SIGNALS = "lost_signals"
 NOTED_LOSS = 1.0
 """Time without an accepted pose, in s, from which the record says that the signal is lost: a few outliers are none."""
 
+MIN_HEARD = 0.5
+"""Share of a signal that a fit must explain for the device to have been heard at all: less is background noise."""
+
 SHOWN_TIME = 0.05
 """Time, in s, below which learning or pauses are not mentioned."""
 
@@ -481,5 +484,8 @@ def describe_miss(pose: Pose | None) -> str:
     if pose is None:
         return "no pose was found in it"
     if not pose.trusted:
-        return f"its pose was not trusted (the fit explains {100 * max(pose.r_squared, 0.0):.0f} % of the signal)"
+        share = f"the fit explains {100 * max(pose.r_squared, 0.0):.0f} % of the signal"
+        if pose.r_squared < MIN_HEARD:
+            return f"the device was not heard ({share}): does it swing, and is it excited?"
+        return f"its pose was not trusted ({share})"
     return "its pose contradicts the tracked one"
