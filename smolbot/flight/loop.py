@@ -47,6 +47,9 @@ LOST_SIGNALS = "lost_signals"
 NOTED_LOSS = 1.0
 """Time without an accepted pose, in s, from which the record says that the signal is lost: a few outliers are none."""
 
+MIN_HEARD = 0.5
+"""Share of a signal that a fit must explain for the device to have been heard at all: less is background noise."""
+
 SHOWN_TIME = 0.05
 """Time, in s, below which learning or pauses are not mentioned."""
 
@@ -185,8 +188,8 @@ class Loop:
         self._paused = 0.0
         self._located = 0
         self._found = 0.0  # end of the last shot with an accepted pose, in s
-        self._miss = ""  # why the last window gave no pose
-        self._lost = False  # whether the record says that the signal is lost
+        self._miss = ""  # why the last window gave no pose, where that is known
+        self._lost = ""  # why the signal is lost, once the record says that it is
         self._losses = 0  # losses of the signal that were overcome
 
     def fly(self) -> Run:
@@ -355,7 +358,7 @@ class Loop:
         recording = None if recording is None else self.tails.subtract_from(shot, recording)
         self.scheduler.blind = shot.listen is not None and recording is None
         pose: Pose | None = None
-        miss = "its recording was lost" if recording is None else ""
+        self._miss = "its recording was lost" if recording is None else ""
         swing: Oscillation | None = None
         if recording is not None:
             # an outdated prior would only mislead: a lost signal is searched for without one
@@ -363,19 +366,19 @@ class Loop:
             prior = None if self.independent or lost else self.tracker.pose_at(recording.middle)
             try:
                 with report_plugin_errors("Estimator", self.localizer, "locate"):
-                    pose, swing, miss = self._locate(shot, recording, prior)
+                    pose, swing = self._locate(shot, recording, prior)
             except InputError as error:  # too few usable channels: a missed window, counted by the tracker
-                pose, swing, miss = None, None, str(error)
+                pose, swing, self._miss = None, None, str(error)
             if pose is not None and not isinstance(pose, Pose):
                 estimator = f"{type(self.localizer).__module__}:{type(self.localizer).__qualname__}"
                 raise PluginError(f"Estimator {estimator}: locate() must return a Pose; got {pose!r}.")
             if pose is not None and pose.trusted and not np.isfinite(pose.covariance).all():
-                pose, miss = replace(pose, trusted=False), "the covariance of the pose is not finite"
-        missed = self.tracker.misses
+                pose, self._miss = replace(pose, trusted=False), "the covariance of the pose is not finite"
         tracked = self.tracker.update(shot, pose, swing)
-        self._note_miss(ended, missed, miss or describe_miss(pose))
-        if self.tracker.misses == 0 and self.channels is not None:
-            self.channels.gate.accept()
+        if self.tracker.misses == 0:
+            self._miss = ""
+            if self.channels is not None:
+                self.channels.gate.accept()
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.predict(*self.tracker.motion)
         learns = not self.independent and tracked is not None and tracked.trusted
@@ -387,6 +390,7 @@ class Loop:
             if self._located % LEARNING_INTERVAL == 0:
                 self._update_resonance(tracked.time, swing)
                 self._refresh_noise(tracked.time, swing, recording)
+        self._note_loss(shot, ended, pose)
         answer = self.pilot.command(shot, self.tracker)
         if answer.event:
             self._record_event(shot.end, answer.event, {"note": answer.note})
@@ -396,34 +400,18 @@ class Loop:
         status = self.rig.status_line if isinstance(self.rig, StatusReporter) else ""
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - received), ended, status)
 
-    def _note_miss(self, ended: float, before: int, reason: str) -> None:
-        """Keep why a shot gave no accepted pose; record when the signal gets lost, and when it is back.
-
-        `before` is the number of misses before this shot.
-        """
-        if self.tracker.misses > before:
-            self._miss = reason
-            if not self._lost and ended - self._found >= NOTED_LOSS and self.tracker.pose is not None:
-                self._lost = True
-                self._record_event(ended, "signal lost", {"since_s": round(self._found, 3), "reason": reason})
-        elif self.tracker.misses == 0:
-            if self._lost:
-                self._losses += 1
-                detail = {"after_s": round(ended - self._found, 3), "shots": before, "reason": self._miss}
-                self._record_event(ended, "signal back", detail)
-            self._found, self._miss, self._lost = ended, "", False
-
-    def _locate(self, shot: Shot, recording: Recording, prior: Pose | None) -> tuple[Pose, Oscillation | None, str]:
-        """Locate in a recording, with the sensors that agree with each other; the text says why no pose is trusted."""
+    def _locate(self, shot: Shot, recording: Recording, prior: Pose | None) -> tuple[Pose, Oscillation | None]:
+        """Locate in a recording, with the sensors that agree with each other."""
         watch, tracker = self.channels, self.tracker
         if watch is None:
-            return (*self.localizer.locate_swing(recording, prior), "")
+            return self.localizer.locate_swing(recording, prior)
         predicted = tracker.pose_at(recording.middle) if tracker.confirmed and not self.independent else None
         watch.gate.add_shot(shot, None if predicted is None else predicted.position)
         found = watch.locate(self.localizer, recording, prior, predicted)
+        self._miss = found.reason
         for what, detail in watch.take_events():
             self._record_event(recording.clock, what, detail)
-        return found.pose, found.swing, found.reason
+        return found.pose, found.swing
 
     def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Oscillation) -> None:
         """Update the sensor errors and, if they have changed enough, replace the localizer's sensor array."""
@@ -460,6 +448,22 @@ class Loop:
             return
         self.localizer = self.localizer.with_noise(noise.rescaled(ratios))
         self._record_event(time, "noise refreshed", {"power_ratios": [round(float(r), 2) for r in ratios]})
+
+    def _note_loss(self, shot: Shot, ended: float, pose: Pose | None) -> None:
+        """Record when the signal gets lost, with the reason, and when it is back."""
+        if shot.listen is None:
+            return
+        if self.tracker.misses:
+            self._miss = self._miss or describe_miss(pose)
+            if not self._lost and ended - self._found >= NOTED_LOSS and self.tracker.pose is not None:
+                self._lost = self._miss
+                self._record_event(ended, "signal lost", {"since_s": round(self._found, 3), "reason": self._lost})
+            return
+        if self._lost:
+            self._losses += 1
+            detail = {"after_s": round(ended - self._found, 3), "reason": self._lost}
+            self._record_event(ended, "signal back", detail)
+        self._found, self._lost = ended, ""
 
     def _find_stop_reason(self, command: Command) -> tuple[Status, str] | None:
         if command.done:
@@ -507,5 +511,8 @@ def describe_miss(pose: Pose | None) -> str:
     if pose is None:
         return "no pose was found in it"
     if not pose.trusted:
-        return f"its pose was not trusted (the fit explains {100 * max(pose.r_squared, 0.0):.0f} % of the signal)"
+        share = f"the fit explains {100 * max(pose.r_squared, 0.0):.0f} % of the signal"
+        if pose.r_squared < MIN_HEARD:
+            return f"the device was not heard ({share}): does it swing, and is it excited?"
+        return f"its pose was not trusted ({share})"
     return "its pose contradicts the tracked one"

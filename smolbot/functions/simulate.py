@@ -44,6 +44,7 @@ COLUMNS = {
     "tracking_rms_mm": ("tracking_error_mm", "rms"),
     "tracking_p95_mm": ("tracking_error_mm", "p95"),
     "tracking_max_mm": ("tracking_error_mm", "max"),
+    "path_speed_mm_s": ("path_speed_mm_s", "mean"),
     "pose_rate_hz": ("pose_rate_hz",),
     "gaps": ("gaps", "count"),
     "longest_gap_s": ("gaps", "longest_s"),
