@@ -67,6 +67,209 @@ def test_transforms_of_groups_and_of_elements_are_applied(drawn):
     assert drawn(body) == pytest.approx(centred(expected * np.array([1.0, -1.0])), abs=1e-5)
 
 
+SKEW = np.array([[1.0, np.tan(np.radians(20.0))], [0.0, 1.0]])
+
+
+def turn(degrees):
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[c, -s], [s, c]])
+
+
+@pytest.mark.parametrize("place", ["attribute", "style", "sheet", "group", "use"])
+@pytest.mark.parametrize(
+    ("transform", "matrix"),
+    [
+        ("rotate(30)", turn(30)),
+        ("rotate(30deg)", turn(30)),
+        ("scale(-1, 1)", np.diag([-1.0, 1.0])),
+        ("skewX(20deg)", SKEW),
+        ("matrix(0.5 0.4, -0.3 2, 7 8)", np.array([[0.5, -0.3], [0.4, 2.0]])),
+        ("translate(4px,3px)scale(1.5) rotate(-70deg)", 1.5 * turn(-70)),
+    ],
+)
+@pytest.mark.parametrize(
+    ("shape", "corners"),
+    [
+        ("rect", [[0, 0], [20, 0], [20, 10], [0, 10], [0, 0]]),
+        ("polygon", [[0, 0], [20, 0], [5, 10], [0, 0]]),
+        ("line", [[0, 0], [20, 10]]),
+    ],
+)
+def test_every_shape_is_turned_wherever_the_transform_stands(drawn, shape, corners, transform, matrix, place):
+    attributes = {
+        "rect": 'x="40" y="40" width="20" height="10"',
+        "polygon": 'points="40,40 60,40 45,50"',
+        "line": 'x1="40" y1="40" x2="60" y2="50"',
+    }[shape]
+    body = {
+        "attribute": f'<{shape} {attributes} transform="{transform}"/>',
+        "style": f'<{shape} {attributes} style="transform: {transform}"/>',
+        "sheet": f"<style>g > .t {{ transform: {transform} }}</style><g><{shape} {attributes} class='a t'/></g>",
+        "group": f'<g transform="{transform}"><g>{f"<{shape} {attributes}/>"}</g></g>',
+        "use": f'<defs><{shape} id="s" {attributes}/></defs><use href="#s" x="3" transform="{transform}"/>',
+    }[place]
+    expected = np.array(corners, dtype=float) @ matrix.T * [1.0, -1.0]
+    assert drawn(body) == pytest.approx(centred(expected), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("radii", "transform", "axes"),
+    [
+        ("12 5", "rotate(30 50 45)", turn(30) @ np.diag([12.0, 5.0])),
+        ("8 8", "rotate(30)", np.diag([8.0, 8.0])),
+        ("8 8", "skewX(20)", SKEW * 8.0),
+        ("12 5", "matrix(1 0.5 -1 2 0 0)", np.array([[1.0, -1.0], [0.5, 2.0]]) @ np.diag([12.0, 5.0])),
+    ],
+)
+def test_a_turned_circle_or_ellipse_is_the_image_of_the_unit_circle(drawn, radii, transform, axes):
+    rx, ry = radii.split()
+    points = drawn(f'<ellipse cx="50" cy="45" rx="{rx}" ry="{ry}" transform="{transform}"/>') * [1.0, -1.0]
+    on_circle = points @ np.linalg.inv(axes).T
+    assert np.hypot(*on_circle.T) == pytest.approx(1.0, abs=2e-3)
+    assert np.ptp(points, axis=0) == pytest.approx(2.0 * np.hypot(*axes.T), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("root", "body", "size"),
+    [
+        ('width="100mm" height="50mm" viewBox="0 0 100 100"', '<rect width="20" height="10"/>', (10, 5)),
+        (
+            'width="100mm" height="50mm" viewBox="0 0 100 100" preserveAspectRatio="none"',
+            '<rect width="20" height="10"/>',
+            (20, 5),
+        ),
+        (
+            'width="100mm" height="50mm" viewBox="0 0 100 100" preserveAspectRatio="xMinYMax slice"',
+            '<rect width="20" height="10"/>',
+            (20, 10),
+        ),
+        ('width="50mm" viewBox="0 0 100 80"', '<rect width="20" height="10"/>', (10, 5)),
+        (IN_MM, '<rect width="50%" height="25%"/>', (50, 20)),
+        (IN_MM, f'<circle r="{100 / np.sqrt((1 + 0.8**2) / 2)}%"/>', (200, 200)),
+        (IN_MM, '<svg width="30" height="30" viewBox="0 0 10 20"><rect width="100%" height="4"/></svg>', (15, 6)),
+        (
+            IN_MM,
+            '<symbol id="s" viewBox="0 0 10 10"><rect width="4" height="2"/></symbol>'
+            '<use href="#s" width="30" height="30"/>',
+            (12, 6),
+        ),
+        ('width="96" height="96"', '<line x2="1in" y2="2.54cm"/>', (25.4, 25.4)),
+        ('width="96" height="96"', '<line x2="72pt" y2="6pc"/>', (25.4, 25.4)),
+        ('style="width: 10mm; height: 10mm" viewBox="0 0 5 5"', '<line x2="4" y2="3"/>', (8, 6)),
+        (IN_MM, '<circle r="3" style="r: 5px"/>', (10, 10)),
+    ],
+)
+def test_sizes_follow_view_boxes_shares_and_units(drawn, root, body, size):
+    assert np.ptp(drawn(body, root=root), axis=0) == pytest.approx(size, abs=0.01)
+
+
+@pytest.mark.parametrize("turned", ["", 'transform="rotate(20) scale(2)"'])
+def test_a_rectangle_has_round_corners_of_its_radii(drawn, turned):
+    points = drawn(f'<rect width="20" height="12" rx="4" ry="90" {turned}/>')  # ry is cut to half the height
+    scale = 2.0 if turned else 1.0
+    ramanujan = np.pi * (3 * 10 - np.sqrt((3 * 4 + 6) * (4 + 3 * 6)))
+    assert compute_arc_lengths(points)[-1] == pytest.approx(scale * (2 * 12 + ramanujan), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("data", "same"),
+    [
+        ("M 0 0 C 9 0 3 8 5 5 T 20 9", "M 0 0 C 9 0 3 8 5 5 Q 5 5 20 9"),
+        ("M 0 0 Q 9 0 5 5 S 3 3 20 9", "M 0 0 Q 9 0 5 5 C 5 5 3 3 20 9"),
+        ("M 1 1 t 9 3", "M 1 1 L 10 4"),
+        ("M 0 0 Q 4 8 8 0 h 3 t 5 5", "M 0 0 Q 4 8 8 0 L 11 0 L 16 5"),
+        ("M 0 0 h 4 v 4 z l -3 -1", "M 0 0 L 4 0 L 4 4 L 0 0 L -3 -1"),
+        ("M 0 0 A 0 5 0 0 1 3 9", "M 0 0 L 3 9"),
+        ("m 2 2 3 4 5 -6", "M 2 2 L 5 6 L 10 0"),
+    ],
+)
+def test_a_smooth_curve_mirrors_only_one_of_its_kind(drawn, data, same):
+    assert drawn(f'<path d="{data}"/>')[[0, -1]] == pytest.approx(drawn(f'<path d="{same}"/>')[[0, -1]])
+    lengths = [compute_arc_lengths(drawn(f'<path d="{d}"/>'))[-1] for d in (data, same)]
+    assert lengths[0] == pytest.approx(lengths[1], rel=1e-6)
+
+
+SEEN = '<line x2="10" y2="6"/>'
+HIDDEN = '<rect id="h" class="k" width="3" height="3"/>'
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        f'<g display="none"><g style="display: inline">{HIDDEN}</g></g>',
+        f"<style>/* a layer */ .k {{ display: none !important }}</style><g>{HIDDEN}</g>",
+        f'<style><![CDATA[ g.l rect {{ visibility: hidden }} ]]></style><g class="l">{HIDDEN}</g>',
+        f'<g visibility="hidden">{HIDDEN}</g>',
+        f"<defs>{HIDDEN}</defs><symbol>{HIDDEN}</symbol><clipPath>{HIDDEN}</clipPath><mask>{HIDDEN}</mask>",
+        f'<switch><g requiredExtensions="x">{HIDDEN}</g><g/>{HIDDEN}</switch>',
+        '<rect width="9" height="9" style="fill: none"/>',
+    ],
+)
+def test_what_is_hidden_is_no_shape(drawn, body):
+    assert drawn(body + SEEN) == pytest.approx(np.array([[-5, 3], [5, -3.0]]))
+
+
+def test_what_is_shown_within_what_is_invisible_is_seen(drawn):
+    assert len(drawn(f'<g visibility="hidden">{HIDDEN}<g visibility="visible">{SEEN}</g></g>')) == 2
+
+
+@pytest.mark.parametrize(
+    ("body", "element", "words"),
+    [
+        (f'<g id="l" display="none">{HIDDEN}</g>', "h", "element 'h' is hidden by display: none of element 'l'"),
+        (f"<defs>{HIDDEN}</defs>", "h", "what stands in <defs> needs a <use>"),
+        ('<rect id="r" width="3furlong" height="2"/>', None, "element 'r': width: '3furlong' has an unknown unit"),
+        ('<rect id="r" width="2em" height="2"/>', None, "known are px, in, cm, mm, q, pt, pc and %"),
+        ('<line id="r" x2="2" transform="rotat(3)"/>', None, "transform rotat() is not known; known are matrix"),
+        ('<line id="r" x2="2" transform="rotate(3"/>', None, "transform 'rotate(3' cannot be read at"),
+        ('<line id="r" x2="2" transform="rotate(3 4)"/>', None, "has 2 numbers; it takes 1 or 3"),
+        ('<polyline id="r" points="1 2 3"/>', None, "element 'r': points has 3 numbers; it takes two a point"),
+        ('<use id="r" href="#nothing"/>', None, "'#nothing', and this file holds no element of that id"),
+        ('<use id="r" href="other.svg#a"/>', None, "this file holds no element"),
+        ('<svg id="r" viewBox="0 0 0 5"/>', None, "viewBox '0 0 0 5' must be four numbers"),
+        ('<svg id="r" preserveAspectRatio="middle"/>', None, "preserveAspectRatio 'middle' cannot be read"),
+        ('<path id="r" d="M 0 0 L 1e999 2"/>', None, "element 'r': has points that are beyond any number"),
+        ('<path id="r" d="M 0 0 L ' + "1.5 " * 5001 + '"/>', None, "L at character 7 has 5001 numbers"),
+        ('<path id="r" d="M 0 0 L ' + "1.5 " * 5000 + '+"/>', None, "the numbers of L at character 7 cannot be read"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_with_its_place(drawn, tmp_path, body, element, words):
+    with pytest.raises(InputError) as error:
+        drawn(body, element=element)
+    assert str(error.value).startswith(f"{tmp_path}/drawing.svg: ")
+    assert words in str(error.value)
+
+
+def test_ten_thousand_groups_are_no_error(drawn):
+    sheet = "<style>g > g line { stroke: red }</style>"
+    assert np.ptp(drawn(sheet + "<g>" * 10_000 + SEEN + "</g>" * 10_000), axis=0) == pytest.approx([10.0, 6.0])
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        '<g id="a"><use href="#a"/></g>',
+        '<g id="a"><use href="#b"/></g><g id="b"><g><use href="#a"/></g></g>',
+        '<use id="a" href="#a"/>',
+    ],
+)
+def test_a_use_of_itself_is_one_error(drawn, body):
+    with pytest.raises(InputError, match="shows that <use> again: it would never end"):
+        drawn(body + SEEN)
+
+
+def test_uses_of_uses_end_at_the_limit(drawn):
+    levels = [f'<g id="u{k + 1}">{f"""<use href="#u{k}"/>""" * 10}</g>' for k in range(30)]
+    with pytest.raises(InputError, match="all <use> together show more than 10000 elements"):
+        drawn(f'<defs><line id="u0" x2="3"/>{"".join(levels)}</defs><use href="#u30"/>')
+
+
+def test_a_shape_in_a_use_is_chosen_by_the_id_of_either(drawn):
+    body = f'<defs><g id="d"><line id="s" x2="10" y2="6"/></g></defs><use id="u" href="#d"/>{HIDDEN}'
+    for name in ("u", "d", "s"):
+        assert drawn(body, element=name) == pytest.approx(np.array([[-5, 3], [5, -3.0]]))
+
+
 def bezier(points, t):
     level = [np.array(p, dtype=float)[None, :] for p in points]
     while len(level) > 1:  # de Casteljau
