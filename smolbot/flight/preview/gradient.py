@@ -13,6 +13,7 @@ from smolbot.core.results import Readable
 from smolbot.core.shots import Actuate, Shot
 from smolbot.errors import report_plugin_errors
 from smolbot.flight.preview.drawn_worlds import DrawnWorlds, fly_drawn_worlds
+from smolbot.flight.preview.pose_trust import find_pose_faults
 from smolbot.flight.preview.remedies import find_remedy
 from smolbot.flight.preview.rollout import Rollout, RolloutParts
 from smolbot.motion.controller import ForceForecast, ForceProfile
@@ -108,9 +109,12 @@ def preview(mission: Mission) -> Preview:
     found = rollout.fly()
     expected = parts.errors.expected
     reasons, worlds = [found.reason] if found.reason else [], None
+    remedy = find_remedy(mission) if reasons else ""
+    reasons += find_pose_faults(mission, parts.errors, 0.5 * found.cycles)
     if not reasons:
         worlds = fly_drawn_worlds(parts)
-        reasons = [] if worlds.suffices else [worlds.describe_failures()]
+        if not worlds.suffices:
+            reasons, remedy = [worlds.describe_failures()], find_remedy(mission, worlds.failed)
     cycling = found.duration - mission.sections.localization.background_noise_duration
     played = cycling - found.cycles * mission.rig.turnaround
     bend = np.max(compute_curvature(mission.path.points))
@@ -135,7 +139,7 @@ def preview(mission: Mission) -> Preview:
         noise_error=compute_horizontal_rms(expected.noise),
         coil_energy=found.energy,
         worlds=worlds,
-        remedy=find_remedy(mission) if reasons else "",
+        remedy=remedy,
         reasons=reasons,
     )
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from smolbot.config.mission import Mission
 from smolbot.config.plugins import list_plugins, load_plugin
 from smolbot.errors import SmolbotError
-from smolbot.flight.preview.drawn_worlds import fly_drawn_worlds
+from smolbot.flight.preview.drawn_worlds import fly_chosen_worlds
 from smolbot.flight.preview.rollout import Rollout, RolloutParts
 from smolbot.motion.controller import robot_kinds
 
 TRIED_WORLDS = 4
-"""Number of drawn worlds in which a remedy must help: all of them."""
+"""Number of drawn worlds in which a remedy must help, all of them: those that fail without it, if they are known."""
 
 LIMIT_FACTORS = (1.5, 3.0)
 """Factors on the time limit that are tried."""
@@ -32,21 +32,24 @@ TAIL_FIRST = "tail_first"
 Settings = Mapping[str, str | float]
 
 
-def find_remedy(mission: Mission) -> str:
+def find_remedy(mission: Mission, failed: Sequence[int] = ()) -> str:
     """Find a change with which a mission would end in the controller's model, in its own world and in drawn ones.
 
     Parameters
     ----------
     mission : Mission
         One that would not end, with a robot that is moved by gradient forces.
+    failed : sequence of int
+        Numbers of the drawn worlds in which it fails, where it ends in its own.
 
     Returns
     -------
     str
         The change, as settings of a command; empty if none of those that were tried helps.
     """
+    worlds = [*failed, *(number for number in range(TRIED_WORLDS) if number not in failed)][:TRIED_WORLDS]
     for settings in _list_changes(mission):
-        found = _try_change(mission, settings)
+        found = _try_change(mission, settings, worlds)
         if found:
             return found
     return ""
@@ -65,14 +68,14 @@ def _list_changes(mission: Mission) -> Iterator[Settings]:
     yield from ({"rig.limits.max_current_a": factor * current} for factor in CURRENT_FACTORS)
 
 
-def _try_change(mission: Mission, settings: Settings) -> str:
+def _try_change(mission: Mission, settings: Settings, numbers: Sequence[int]) -> str:
     """Return a change as settings of a command if the mission ends with it; else an empty text."""
     try:
         parts = RolloutParts.prepare(change_mission(mission, settings))
         alone = Rollout(parts).fly()
         if alone.reason:
             return ""
-        worlds = fly_drawn_worlds(parts, TRIED_WORLDS, TRIED_WORLDS)
+        worlds = fly_chosen_worlds(parts, numbers)
     except SmolbotError:  # such as a law that cannot drive these coils: no remedy
         return ""
     if worlds.ended < worlds.flown:
