@@ -10,10 +10,31 @@ import typer
 
 from sim.batch.flights import PlantModel
 from smolbot.errors import InputError
-from smolbot.ui.cli.options import ForceOption, JsonOption, MissionArgument, RigOption, SetOption, parse_settings
+from smolbot.ui.cli.options import (
+    FaultOption,
+    ForceOption,
+    JsonOption,
+    MissionArgument,
+    RigOption,
+    SetOption,
+    add_faults,
+    parse_settings,
+    require_tank,
+)
 
 if TYPE_CHECKING:
     from smolbot.functions.simulate import Flight, Simulation
+
+
+def _list_faults(wanted: bool) -> None:
+    """Print the faults of a tank and exit."""
+    if not wanted:
+        return
+    from sim.tank.tank_faults import TANK_FAULTS, describe_fault
+    from smolbot.ui.cli.show import print_table
+
+    print_table("faults of a simulated tank", [describe_fault(name) for name in TANK_FAULTS], err=False)
+    raise typer.Exit
 
 
 def simulate(
@@ -29,6 +50,11 @@ def simulate(
     out: Annotated[Path | None, typer.Option(help="Folder to make; default: a new one in runs/.")] = None,
     set_: SetOption = None,
     force: ForceOption = None,
+    fault: FaultOption = None,
+    list_faults: Annotated[
+        bool,
+        typer.Option("--list-faults", callback=_list_faults, is_eager=True, help="List a tank's faults and exit."),
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Fly a mission in a simulated tank once per seed: table, pass rate with 95 % interval, results.csv, figure."""
@@ -37,8 +63,10 @@ def simulate(
     from smolbot.runs.folder import make_dated_path
     from smolbot.ui.cli.show import show_bar
 
-    seed_list, settings = parse_seeds(seeds), parse_settings(set_)
-    name = load_mission(mission, rig, settings).name
+    seed_list, settings = parse_seeds(seeds), add_faults(parse_settings(set_), fault)
+    loaded = load_mission(mission, rig, settings)
+    require_tank(loaded.rig, fault)
+    name = loaded.name
     passed = 0
     with show_bar(name, total=len(seed_list)) as update:
 

@@ -9,8 +9,11 @@ from pathlib import Path
 from sim.batch.executors import open_executor
 from sim.batch.flights import PlantModel, compute_warm_rates, fly_seeds
 from sim.batch.intervals import compute_wilson_interval
+from sim.tank.settings import TankSettings
+from sim.tank.tank_faults import find_channels, parse_tank_faults
 from smolbot.config.load import AnyMission, load_mission
 from smolbot.config.observation import Observation
+from smolbot.config.rig import RigConfig
 from smolbot.core.text_table import write_table
 from smolbot.errors import InputError
 from smolbot.flight.preview.missions import require_go
@@ -48,6 +51,7 @@ def simulate(
         from sim.reduced.rig import require_flyable
 
         require_flyable(loaded)
+    require_channels(loaded.rig)
     require_go(loaded, force)
     if loaded.robot.kind == "gradient":
         loaded.rig.table()  # built once, before the workers need it
@@ -72,6 +76,18 @@ def simulate(
         draw(loaded, flights, folder.path / "flights.png")
         folder.end(found.figures())
     return found
+
+
+def require_channels(rig: RigConfig) -> None:
+    """Raise `InputError` if a fault of the rig file concerns a channel that the rig does not have.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    """
+    if rig.world == "tank":
+        for fault in parse_tank_faults(rig.section_of("tank", TankSettings).faults):
+            find_channels(fault, rig)
 
 
 def draw(mission: AnyMission, flights: list[Flight], path: Path) -> None:

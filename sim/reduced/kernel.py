@@ -13,11 +13,14 @@ from numba import njit
 from sim.tank.carriers.hydrodynamics import (
     BUOYANCY,
     DRAG,
+    FLOW_X,
+    FLOW_Y,
     HEIGHT,
     MENISCUS,
     RIGHTING_X,
     RIGHTING_Z,
     SURFACE,
+    SWIRL,
     TURN_DRAG,
     WEIGHT,
 )  # fmt: skip
@@ -202,7 +205,10 @@ def _compute_rates(
     # without inertia: velocity = force / drag, spin = torque / drag, body axes
     u, v, t = (fx + lift * zx) / hull[DRAG], (fy + lift * zy) / hull[DRAG + 1], (fz + lift * zz) / hull[DRAG + 2]
     out[0], out[1], out[2] = xx * u + xy * v + xz * t, yx * u + yy * v + yz * t, zx * u + zy * v + zz * t
+    out[0] += hull[FLOW_X] - hull[SWIRL] * s[1]  # relative to a liquid that flows
+    out[1] += hull[FLOW_Y] + hull[SWIRL] * s[0]
     p, q, r = tx / hull[TURN_DRAG], ty / hull[TURN_DRAG + 1], tz / hull[TURN_DRAG + 2]
+    p, q, r = p + hull[SWIRL] * zx, q + hull[SWIRL] * zy, r + hull[SWIRL] * zz
     out[3] = 0.5 * (-i * p - j * q - k * r)
     out[4] = 0.5 * (w * p + j * r - k * q)
     out[5] = 0.5 * (w * q + k * p - i * r)

@@ -55,6 +55,10 @@ class TankTruth(SampledValues):
         From the requested to the true start position, along world x and y. Sampled at every scale.
     start_heading : float, in rad
         From world x to the robot's forward axis. Sampled at every scale.
+    flow_direction : float, in rad
+        Direction of a current in the liquid, from world x toward y. Sampled at every scale.
+    flow_sense : float
+        1 if the liquid rotates from x toward y, -1 if from y toward x. Sampled at every scale.
     """
 
     coil_places: FloatArray
@@ -78,6 +82,8 @@ class TankTruth(SampledValues):
     compensation_tilt: FloatArray
     start_offset: FloatArray
     start_heading: float
+    flow_direction: float
+    flow_sense: float
 
     def apply_to_device(self, assumed: Device) -> Device:
         """Apply the sampled factors to the assumed device.
@@ -118,6 +124,8 @@ class RandomStreams:
         Of the sensors' own noise.
     constants : numpy.random.Generator
         Of each channel's unknown constant.
+    flow : numpy.random.Generator
+        Of the liquid's flow.
     """
 
     mismatch: np.random.Generator
@@ -125,6 +133,7 @@ class RandomStreams:
     field_noise: np.random.Generator
     sensor_noise: np.random.Generator
     constants: np.random.Generator
+    flow: np.random.Generator
 
     @classmethod
     def from_seed(cls, seed: int) -> RandomStreams:
@@ -138,7 +147,7 @@ class RandomStreams:
         -------
         RandomStreams
         """
-        return cls(*(np.random.Generator(np.random.SFC64(s)) for s in np.random.SeedSequence(seed).spawn(5)))
+        return cls(*(np.random.Generator(np.random.SFC64(s)) for s in np.random.SeedSequence(seed).spawn(6)))
 
 
 def sample_truth(
@@ -190,4 +199,6 @@ def sample_truth(
         compensation_tilt=spread(settings.earth.compensation_axis, 3),
         start_offset=settings.start_scatter * np.clip(streams.start.standard_normal(2), -START_CLIP, START_CLIP),
         start_heading=float(streams.start.uniform(-np.pi, np.pi)),
+        flow_direction=float(streams.flow.uniform(-np.pi, np.pi)),
+        flow_sense=float(streams.flow.choice([-1.0, 1.0])),
     )

@@ -19,6 +19,8 @@ from smolbot.core.sensing import Recording
 from smolbot.core.shots import Excite, Listen, MoveMagnet, Rest, Shot, is_magnet_near_after
 from smolbot.errors import RigError
 
+WINDOW_FAULTS = ("windows_lost", "read_timeout")
+
 MIN_REST = 1e-3
 """Rest after a probe, in s, where the rig file has no turnaround."""
 
@@ -117,6 +119,8 @@ class TankRig(Closeable):
             raise RigError("This tank is closed; nothing was played.")
         self.limits.check(shot, magnet_near=self._magnet_near)
         tank, begin = self._tank, self._tank.time
+        if tank.faults is not None:
+            tank.faults.begin_shot(shot, begin)
         windows = (*shot.windows, Rest(self._turnaround)) if self._turnaround > 0 else shot.windows
         for window in shot.windows:
             if isinstance(window, MoveMagnet):  # an interrupted move leaves the magnet near
@@ -203,6 +207,13 @@ class TankRig(Closeable):
         """
         return {"seed": self._seed, "ideal": self._ideal, **self._tank.list_mismatches()}
 
+    def _loses_window(self, time: float) -> bool:
+        """Return whether a fault loses the listening window that begins at `time` s."""
+        faults = self._tank.faults
+        return faults is not None and any(
+            fault.name in WINDOW_FAULTS and faults.is_active(i, time) for i, fault in enumerate(faults.faults)
+        )
+
     def _make_recording(self, shot: Shot, begin: float) -> Recording | None:
         recording: Recording | None = None
         for at, window in shot.timed():
@@ -213,6 +224,8 @@ class TankRig(Closeable):
                 drive = shot.excite
                 since = start - self._last_drive[1] if drive is not None and self._last_drive else math.inf
                 n = round(window.duration * self._rate)
+                if self._loses_window(start):
+                    return None
                 field, saturated = self._tank.measure(start, n)
                 recording = Recording(field / self._gains, self._rate, since, saturated, drive, start)
         return recording

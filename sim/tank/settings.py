@@ -10,10 +10,12 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from sim.tank.gel_settings import GelSettings
+from sim.tank.tank_faults import parse_tank_faults
 from smolbot.config.document import FileModel
 from smolbot.config.mismatch import MismatchSection
 from smolbot.config.units import SI, NotNegative, Positive, SIVector, Vector
 from smolbot.core.arrays import FloatArray
+from smolbot.errors import InputError
 
 MIN_DISTANCE_MM = 1.0
 """Between two points of a route: closer ones make a spline loop."""
@@ -38,6 +40,18 @@ class SurfaceSection(FileModel):
     """The liquid's surface, which holds the floating robot level and at its height."""
 
     meniscus_n_per_m2: NotNegative = 28.0
+
+
+class FlowSection(FileModel):
+    """How the liquid flows that the rig file's ``[medium]`` section gives a speed, `flow_mm_s`."""
+
+    direction_deg: float | None = None
+    rotating_percent: Annotated[float, Field(ge=0, le=100)] = 0.0
+
+    @property
+    def direction(self) -> float | None:
+        """Direction of the current in rad, from world x toward y, or None if it is sampled."""
+        return None if self.direction_deg is None else math.radians(self.direction_deg)
 
 
 class RouteSection(FileModel):
@@ -172,12 +186,23 @@ class TankSettings(FileModel):
     wall_friction: NotNegative = 0.1
     earth: EarthSection = EarthSection()
     surface: SurfaceSection = SurfaceSection()
+    flow: FlowSection = FlowSection()
     gel: GelSettings = GelSettings()
     mismatch: MismatchSection = MismatchSection()
     hand: OperatorSection | None = None
     place: PlaceSection | None = None
+    faults: Annotated[list[str], Field(default_factory=list)]  # as `--fault` takes them
 
     physics_step, start_scatter = SI("physics_step_ms"), SI("start_scatter_mm")
+
+    @field_validator("faults")
+    @classmethod
+    def _check_faults(cls, value: list[str]) -> list[str]:
+        try:
+            parse_tank_faults(value)
+        except InputError as error:
+            raise ValueError(str(error)) from error
+        return value
 
     @property
     def lateness(self) -> float:

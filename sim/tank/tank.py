@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from sim.tank.carriers.carrier import Carrier, MagnetDriven, Magnetised, Sampled
+from sim.tank.carriers.carrier import Carrier, Immersed, MagnetDriven, Magnetised, Sampled
 from sim.tank.carriers.selection import make_carrier
+from sim.tank.faults import FaultSchedule
 from sim.tank.history import History
 from sim.tank.magnetics.cantilever import DEFLECTION, DRIVE, MIDDLE, RATE, STATE_LENGTH, TIME, advance_cantilever
 from sim.tank.magnetics.coil_fields import COMMAND, CURRENT, SINE
@@ -17,18 +18,23 @@ from sim.tank.magnetics.device_packing import pack_true_device
 from sim.tank.magnetics.tank_coils import TankCoils, find_magnet_volume
 from sim.tank.magnetics.true_sensors import TrueSensors
 from sim.tank.mismatch import RandomStreams, TankTruth, sample_truth
+from sim.tank.plant_faults import PlantFaults
+from sim.tank.sensor_faults import SensorFaults
 from sim.tank.settings import TankSettings
+from sim.tank.tank_faults import parse_tank_faults
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
 from smolbot.core.arrays import BoolArray, FloatArray
 from smolbot.core.rotations import matrix_from_quaternion
 from smolbot.core.shots import Actuate, Excite, MoveMagnet, Rest, Rotate, Window
-from smolbot.errors import RigError
+from smolbot.errors import InputError, RigError
 
 STEPS_PER_STOP_CHECK = 500  # steps of a mechanical window between two checks whether to stop
 SUBSTEP = 2e-5  # s: period of the sample clock; the cantilever's period is 500 times longer
 ROUNDING = 1e-9  # share of a step below which a remainder is rounding, not one more step
 NO_SAMPLES = np.zeros((0, 1))
+FAULT_STREAM = 6
+"""Random stream of a seed for spikes; the tank's mismatches and noise use 0 to 4, the twin's operator 5."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +84,17 @@ class Tank:
         self.history = History()
         self.time = 0.0
         self.running = False
+        self.faults: FaultSchedule | None = None
+        if settings.faults:
+            self.faults = FaultSchedule(parse_tank_faults(settings.faults))
+            self.sensors.faults = SensorFaults(
+                self.faults, rig, self.sensors.axes, np.random.default_rng([seed, FAULT_STREAM])
+            )
+            self._plant_faults = PlantFaults(self.faults, rig, robot, settings, self.truth)
+            if self._plant_faults.changes_liquid and not isinstance(self.carrier, Immersed):
+                raise InputError(
+                    f"--fault: '{robot.name}' of kind '{robot.kind}' swims in no liquid that could change."
+                )
         self._step = settings.physics_step
         self._low, self._high = find_magnet_volume(rig)
         self._state = np.zeros(STATE_LENGTH)
@@ -162,7 +179,8 @@ class Tank:
         dict
         """
         own = {"carrier": self.carrier.as_dict()} if isinstance(self.carrier, Sampled) else {}
-        return {"truth": self.truth.as_dict(), **own}
+        faults = {} if self.faults is None else {"faults": [fault.text for fault in self.faults.faults]}
+        return {"truth": self.truth.as_dict(), **own, **faults}
 
     def zero_commands(self) -> None:
         """Set the command of every driven coil to zero; its current decays."""
@@ -234,6 +252,18 @@ class Tank:
             n = self.coils.n_excitation
             self.coils.circuits[actuation : actuation + n, SINE] = window.currents[:n]
             self._state[DRIVE] = 2 * math.pi * window.frequency
+        if self.faults is not None:
+            self._apply_plant_faults()
+
+    def _apply_plant_faults(self) -> None:
+        """Change currents, liquid and device as the faults that are present now demand."""
+        faults = self._plant_faults
+        factors = faults.compute_current_factors(self.time)
+        self.coils.circuits[: len(factors), COMMAND : SINE + 1] *= factors[:, None]
+        self.device = faults.pack_device(self.time)
+        if faults.changes_liquid and isinstance(self.carrier, Immersed):
+            self.carrier.scale_drag(*faults.compute_drag_factors(self.time))
+            self.carrier.add_flow(*faults.compute_flow(self.time))
 
     def _begin_trace(self, rows: int) -> None:
         """Keep the history that the sensors' low pass still needs, and reserve `rows` more rows."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
-from smolbot.errors import InputError
+from sim.tank.faults import GOOD, ONCE, STATE_DURATION, FaultKind, InjectedFault
+from sim.tank.faults import parse_fault as parse_named_fault
 
 FAULTS = {
     "device_gone": "the card no longer answers (-201003)",
@@ -30,39 +29,11 @@ FAULTS = {
     "firmware_hung": "the magnet stage's main loop hangs",
 }
 
-STATE_DURATION = 0.3
-"""Duration, in s, of a state, such as a dead sensor, that occurs once."""
-
-_MOMENT = re.compile(r"^(?:(?P<phase>before|actuation|listening)#(?P<shot>\d+)|(?P<seconds>\d+(?:\.\d+)?)s|now)$")
-
-
-@dataclass(frozen=True)
-class InjectedFault:
-    """One pending fault.
-
-    Attributes
-    ----------
-    name : str
-        One of `FAULTS`.
-    phase : str
-        Phase of the shot in which it occurs; empty if a time is given, or if it occurs at once.
-    shot : int
-        Number of the electrical shot, from 1.
-    seconds : float or None, in s
-        Time after the first shot; None with an empty phase means at once.
-    permanent : bool
-        Whether it is permanent.
-    """
-
-    name: str
-    phase: str = ""
-    shot: int = 0
-    seconds: float | None = None
-    permanent: bool = False
+_KINDS = {name: FaultKind(about) for name, about in FAULTS.items()}
 
 
 def parse_fault(text: str) -> InjectedFault:
-    """Parse a fault in the command line's spelling, ``NAME@MOMENT[:once|good]``.
+    """Parse a fault of the twin; see `sim.tank.faults.parse_fault`. Unless the text says otherwise, it occurs once.
 
     Parameters
     ----------
@@ -85,27 +56,7 @@ def parse_fault(text: str) -> InjectedFault:
     >>> parse_fault("button@12.5s").seconds
     12.5
     """
-    name, _, rest = text.partition("@")
-    moment, _, lasting = rest.partition(":")
-    if name not in FAULTS:
-        raise InputError(f"--fault {text}: no fault is named '{name}'; known faults: {', '.join(FAULTS)}.")
-    found = _MOMENT.match(moment or "now")
-    if found is None:
-        raise InputError(
-            f"--fault {text}: '{moment}' is no moment; use now, 12.5s (after the first shot), or before#30, "
-            "actuation#30, listening#30 (of the 30th shot)."
-        )
-    if lasting not in ("", "once", "good"):
-        raise InputError(f"--fault {text}: lasts 'once' or for 'good'; got '{lasting}'.")
-    seconds = found["seconds"]
-    after = None if seconds is None else float(seconds)
-    return InjectedFault(
-        name,
-        found["phase"] or "",
-        int(found["shot"] or 0),
-        after,
-        lasting == "good",
-    )
+    return parse_named_fault(text, _KINDS)
 
 
 class FaultInjector:
@@ -124,7 +75,7 @@ class FaultInjector:
         self._listeners: list[Callable[[str], None]] = []
         self._lock = threading.Lock()
         self._pending: list[InjectedFault] = []
-        self._active: dict[str, tuple[bool, float]] = {}
+        self._active: dict[str, tuple[float, float]] = {}  # duration and start, in s
         self._first_shot: float | None = None
 
     def add_listener(self, listener: Callable[[str], None]) -> None:
@@ -189,7 +140,8 @@ class FaultInjector:
 
     def _activate(self, fault: InjectedFault) -> None:
         with self._lock:
-            self._active[fault.name] = (fault.permanent, self._clock())
+            duration = ONCE if fault.duration is None else fault.duration
+            self._active[fault.name] = (duration, self._clock())
         self._on_fault(fault.name)
         for listener in self._listeners:
             threading.Thread(target=listener, args=(fault.name,), name=f"fault {fault.name}", daemon=True).start()
@@ -211,9 +163,11 @@ class FaultInjector:
             found = self._active.get(name)
             if found is None:
                 return False
-            if not found[0]:
+            duration, began = found
+            over = self._clock() - began > duration
+            if over or duration == ONCE:
                 del self._active[name]
-            return True
+            return duration == ONCE or not over
 
     def is_permanent(self, name: str) -> bool:
         """Return whether a present fault is permanent.
@@ -226,7 +180,7 @@ class FaultInjector:
         -------
         bool
         """
-        return self._active.get(name, (False, 0.0))[0]
+        return self._active.get(name, (ONCE, 0.0))[0] == GOOD
 
     def is_active(self, name: str) -> bool:
         """Return whether a state such as a dead sensor is present.
@@ -242,7 +196,8 @@ class FaultInjector:
         found = self._active.get(name)
         if found is None:
             return False
-        if not found[0] and self._clock() - found[1] > STATE_DURATION:
+        duration, began = found
+        if self._clock() - began > (STATE_DURATION if duration == ONCE else duration):
             with self._lock:
                 self._active.pop(name, None)
             return False

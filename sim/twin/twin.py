@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sim.tank.faults import InjectedFault
 from sim.tank.settings import TankSettings
 from sim.twin.card_model import CardModel
 from sim.twin.control import ControlServer
 from sim.twin.device_server import DeviceServer
-from sim.twin.faults import InjectedFault, parse_fault
+from sim.twin.faults import parse_fault
 from sim.twin.magnet_operator import MagnetOperator
 from sim.twin.supply_model import SupplyServer
 from sim.twin.truth_server import TruthServer

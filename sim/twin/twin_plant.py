@@ -42,13 +42,15 @@ class TwinPlant(Tank):
     Raises
     ------
     InputError
-        If the rig's sample rate is not the tank's own.
+        If the rig's sample rate is not the tank's own, or if its file injects faults into a tank.
     """
 
     def __init__(
         self, rig: RigConfig, robot: RobotConfig, settings: TankSettings, start: FloatArray, seed: int,
         *, ideal: bool = False,
     ) -> None:  # fmt: skip
+        if settings.faults:
+            raise InputError("tank.faults are those of a simulated tank; the twin takes its own: smolbot twin --fault.")
         super().__init__(rig, robot, settings, start, seed, ideal=ideal)
         self.rate = self.sensors.rate
         if abs(self.rate * SUBSTEP - 1.0) > RATE_TOLERANCE:

@@ -66,10 +66,7 @@ class ExpectedErrors:
         rotations = np.array([matrix_from_quaternion(q) for q in orientations])
         frames = compute_tilt_frames(rig.sections.sensors.array)
         sensitivity, information = compute_sensor_terms(response, frames, points, rotations)
-        deviations = np.zeros(information.shape)
-        if rig.sensor_covariance is not None:
-            deviations[:-DEVIATIONS_OF_DEVICE, :-DEVIATIONS_OF_DEVICE] = rig.sensor_covariance
-        deviations[-DEVIATIONS_OF_DEVICE:, -DEVIATIONS_OF_DEVICE:] = np.diag(np.square(mission.robot.device_tolerances))
+        deviations = _expect_deviations(mission)
         estimator = load_plugin("estimators", mission.base.localization.estimator)
         learns = rig.sensor_covariance is not None and "sensors" in estimator.learns
         return cls(noise, sensitivity, deviations, information if learns else np.zeros(information.shape))
@@ -102,6 +99,42 @@ class ExpectedErrors:
         ndarray, shape (n, 6, 6), in m and rad
         """
         return self.noise + self.compute_sensor_part(recordings)
+
+
+MEAN_OVER_RMS = float(np.sqrt(8.0 / (3.0 * np.pi)))
+"""Mean over rms length of an isotropic Gaussian vector in space."""
+
+
+def compute_mean_distance(covariances: FloatArray) -> float:
+    """Compute the mean distance in space between pose and truth.
+
+    Parameters
+    ----------
+    covariances : ndarray, shape (n, 6, 6), in m and rad
+
+    Returns
+    -------
+    float, in m
+        Averaged over the poses.
+    """
+    return float(MEAN_OVER_RMS * np.mean(np.sqrt(np.trace(covariances[:, :3, :3], axis1=1, axis2=2))))
+
+
+def _expect_deviations(mission: MissionBase) -> FloatArray:
+    """Return the covariance of the deviations of sensors and device, by their tolerances or else the rig's mismatch."""
+    rig, device = mission.rig, mission.robot.device
+    n, off = len(rig.sensors), rig.mismatch
+    sensors, tolerances = rig.sensor_covariance, np.array(mission.robot.device_tolerances)
+    if sensors is None:
+        one = np.array([off.sensor_gain, off.sensor_axis, off.sensor_axis, *[off.sensor_place] * 3])
+        calibrated = rig.sections.sensors.calibrated is not None  # its file states no correlations: taken as exact
+        sensors = np.diag(np.tile(0.0 * one if calibrated else off.scale * one, n) ** 2)
+    if not tolerances.any():
+        tolerances = off.scale * np.array([off.moment, off.l0 * device.l0])
+    out = np.zeros((len(sensors) + DEVIATIONS_OF_DEVICE, len(sensors) + DEVIATIONS_OF_DEVICE))
+    out[: len(sensors), : len(sensors)] = sensors
+    out[len(sensors) :, len(sensors) :] = np.diag(tolerances**2)
+    return out
 
 
 def compute_horizontal_rms(covariances: FloatArray) -> FloatArray:

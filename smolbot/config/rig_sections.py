@@ -150,12 +150,21 @@ class ContainerSection(FileModel):
 
 
 class MediumSection(FileModel):
-    """Assumed properties of the liquid; a gel where it has a yield stress."""
+    """Assumed properties of the liquid; a gel where it has a yield stress. It flows at up to `flow_mm_s`."""
 
     name: str
     viscosity_pa_s: Positive
     density_kg_m3: Positive
     yield_stress_pa: NotNegative = 0.0
+    flow_mm_s: NotNegative = 0.0
+
+    flow = SI("flow_mm_s")
+
+    @model_validator(mode="after")
+    def _check_flow(self) -> MediumSection:
+        if self.flow_mm_s > 0.0 and self.yield_stress_pa > 0.0:
+            raise ValueError(f"a gel with a yield stress does not flow; got flow_mm_s = {self.flow_mm_s:g}.")
+        return self
 
 
 class MagnetSection(FileModel):

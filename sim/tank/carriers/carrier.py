@@ -55,6 +55,29 @@ class Carrier(Protocol):
 
 
 @runtime_checkable
+class Immersed(Carrier, Protocol):
+    """A carrier in a liquid, whose drag and flow can change."""
+
+    def scale_drag(self, translation: float, rotation: float) -> None:
+        """Set the drag to a multiple of what it was at the start.
+
+        Parameters
+        ----------
+        translation, rotation : float
+            Factors on the drag against translation and against rotation.
+        """
+
+    def add_flow(self, x: float, y: float) -> None:
+        """Set the liquid's flow to what it was at the start plus a uniform current.
+
+        Parameters
+        ----------
+        x, y : float, in m/s
+            World frame.
+        """
+
+
+@runtime_checkable
 class MagnetDriven(Carrier, Protocol):
     """A carrier that a rotating magnet moves too.
 

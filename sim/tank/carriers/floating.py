@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.tank.carriers.bullet import Bodies
 from sim.tank.carriers.carrier import Load, State
-from sim.tank.carriers.hydrodynamics import Hull, compute_float_step
+from sim.tank.carriers.hydrodynamics import DRAG, FLOW_X, SWIRL, TURN_DRAG, WEIGHT, Hull, compute_float_step
 from sim.tank.mismatch import TankTruth
 from sim.tank.settings import TankSettings
 from smolbot.config.rig import RigConfig
@@ -39,6 +39,7 @@ class Floating:
         *, gui: bool = False,
     ) -> None:  # fmt: skip
         self.hull = Hull.build(rig, robot, settings, truth)
+        self._drags, self._flow = self.hull.values[DRAG:WEIGHT].copy(), self.hull.values[FLOW_X:SWIRL].copy()
         position, orientation = compute_start_pose(rig, robot, truth, self.hull, start)
         self.bodies = Bodies(rig, robot, position, orientation, friction=settings.wall_friction, gui=gui)
         self.read_state = self.bodies.read_state  # called 1000 times per second of flight: no layer between
@@ -70,6 +71,27 @@ class Floating:
             position, quaternion, velocity, spin, magnetic, hull.values, hull.float_height, step
         )
         self.bodies.move(velocity, spin, step)
+
+    def scale_drag(self, translation: float, rotation: float) -> None:
+        """Set the drag to a multiple of what it was at the start.
+
+        Parameters
+        ----------
+        translation, rotation : float
+            Factors on the drag against translation and against rotation.
+        """
+        self.hull.values[DRAG:TURN_DRAG] = translation * self._drags[: TURN_DRAG - DRAG]
+        self.hull.values[TURN_DRAG:WEIGHT] = rotation * self._drags[TURN_DRAG - DRAG :]
+
+    def add_flow(self, x: float, y: float) -> None:
+        """Set the liquid's flow to what it was at the start plus a uniform current.
+
+        Parameters
+        ----------
+        x, y : float, in m/s
+            World frame.
+        """
+        self.hull.values[FLOW_X:SWIRL] = self._flow + np.array([x, y])
 
     def close(self) -> None:
         """Release Bullet's world."""

@@ -10,6 +10,7 @@ from numba import njit
 from sim.tank.magnetics.cantilever import L0, MIN_MEASURABLE_CURRENT, MOMENT, REST_X, REST_Z
 from sim.tank.magnetics.noise import FieldNoise, SensorNoise
 from sim.tank.mismatch import TankTruth
+from sim.tank.sensor_faults import SensorFaults
 from smolbot.config.rig import RigConfig
 from smolbot.core.arrays import BoolArray, FloatArray
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_rotation_vector
@@ -39,6 +40,8 @@ class TrueSensors:
         Time before the first sample that a recording needs to know.
     field_noise : FieldNoise
     sensor_noise : SensorNoise
+    faults : SensorFaults or None
+        What is wrong with them, besides their mismatches.
     """
 
     def __init__(
@@ -69,6 +72,7 @@ class TrueSensors:
             noise, self.positions, self.axes, nominal.bandwidth, truth.noise, truth.mains_frequency, field_rng
         )
         self.sensor_noise = SensorNoise(noise, len(nominal), nominal.bandwidth, self.rate, truth.noise, sensor_rng)
+        self.faults: SensorFaults | None = None
 
     @property
     def time_constant(self) -> float:
@@ -142,9 +146,17 @@ class TrueSensors:
             Which sensors were saturated.
         """
         self.field_noise.add(field, clock, self.rate)
-        self.sensor_noise.add(field, clock)
+        if self.faults is None:
+            self.sensor_noise.add(field, clock)
+        else:
+            own_noise = np.zeros_like(field)
+            self.sensor_noise.add(own_noise, clock)
+            self.faults.disturb(field, own_noise, clock)
         constants = self.sample_constants() if constants is None else constants
-        return _convert(field, constants, self._range, self._full_scale, self._step)
+        saturated = _convert(field, constants, self._range, self._full_scale, self._step)
+        if self.faults is not None:
+            self.faults.corrupt(field, saturated, clock)
+        return saturated
 
     def compute_clean_readings(
         self,

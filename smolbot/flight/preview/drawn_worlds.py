@@ -56,8 +56,10 @@ class DrawnWorlds(Readable):
         Number of worlds.
     ended : int
         Number of those in which the path's end was reached in time, with errors that the mission's verdict allows.
-    durations : ndarray, shape (flown,), in s
-        With the learning phase; nan where the path's end was not reached.
+    durations, path_times : ndarray, shape (flown,), in s
+        With the learning phase, and from the path's start on; nan where the path's end was not reached.
+    energies : ndarray, shape (flown,), in J
+        Heat in the actuation coils; nan likewise.
     tracking_errors, localization_errors : ndarray, shape (flown,), in m
         Mean distance of the robot from the path, and of a pose from the robot.
     failed : tuple of int
@@ -69,6 +71,8 @@ class DrawnWorlds(Readable):
     flown: int
     ended: int
     durations: FloatArray
+    path_times: FloatArray
+    energies: FloatArray
     tracking_errors: FloatArray
     localization_errors: FloatArray
     failed: tuple[int, ...]
@@ -159,6 +163,11 @@ def fly_chosen_worlds(parts: RolloutParts, numbers: Sequence[int]) -> DrawnWorld
     return _summarize(flown, [world.reason for world in flown if world.reason])
 
 
+def _collect(flown: Sequence[_Flown], name: str) -> FloatArray:
+    """Collect one figure of every world; nan where the path's end was not reached."""
+    return np.array([np.nan if world.outcome.reason else getattr(world.outcome, name) for world in flown])
+
+
 def draw_perturbation(mission: Mission, number: int) -> Perturbation:
     """Draw how a world differs from what the mission's files say.
 
@@ -213,7 +222,9 @@ def _summarize(flown: Sequence[_Flown], failed: Sequence[str]) -> DrawnWorlds:
     return DrawnWorlds(
         flown=len(flown),
         ended=len(flown) - len(failed),
-        durations=np.array([math.nan if world.outcome.reason else world.outcome.duration for world in flown]),
+        durations=_collect(flown, "duration"),
+        path_times=_collect(flown, "path_time"),
+        energies=_collect(flown, "energy"),
         tracking_errors=np.array([world.tracking_error for world in flown]),
         localization_errors=np.array([world.localization_error for world in flown]),
         failed=tuple(number for number, world in enumerate(flown) if world.reason),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from smolbot.config.expected_errors import compute_horizontal_rms
+from smolbot.config.expected_errors import compute_horizontal_rms, compute_mean_distance
 from smolbot.config.mission import Mission
 from smolbot.core.arrays import FloatArray
 from smolbot.core.results import Readable
@@ -15,7 +15,7 @@ from smolbot.errors import report_plugin_errors
 from smolbot.flight.preview.drawn_worlds import DrawnWorlds, fly_drawn_worlds
 from smolbot.flight.preview.pose_trust import find_pose_faults
 from smolbot.flight.preview.remedies import find_remedy
-from smolbot.flight.preview.rollout import Rollout, RolloutParts
+from smolbot.flight.preview.rollout import Outcome, Rollout, RolloutParts
 from smolbot.motion.controller import ForceForecast, ForceProfile
 from smolbot.paths.corners import compute_curvature, find_corners
 
@@ -41,7 +41,8 @@ class Preview(Readable):
     remarks : tuple of str
         On how the path was made.
     duration : float, in s
-        Expected, search and approach included; nan where the end is not reached.
+        Expected, search and approach included; nan where the end is not reached. This, `path_time` and `coil_energy`
+        are means over the drawn worlds.
     path_time : float, in s
         From the path's start to its end alone.
     requested_time : float, in s, or None
@@ -55,6 +56,8 @@ class Preview(Readable):
         them.
     noise_error : ndarray, shape (n,), in m
         The same by noise alone.
+    mean_localization_error : float, in m
+        Mean error of one pose in space, over the path: what the verdict is about.
     force_profile : ForceProfile or None
         The controller's force along the path; None if the controller does not compute it.
     coil_energy : float, in J
@@ -81,6 +84,7 @@ class Preview(Readable):
     force_profile: ForceProfile | None
     localization_error: FloatArray
     noise_error: FloatArray
+    mean_localization_error: float
     coil_energy: float
     worlds: DrawnWorlds | None = None
     remedy: str = ""
@@ -108,13 +112,17 @@ def preview(mission: Mission) -> Preview:
     rollout = Rollout(parts)
     found = rollout.fly()
     expected = parts.errors.expected
+    covariances = expected.compute_covariances(0.5 * found.cycles)
+    mean_error = compute_mean_distance(covariances)
     reasons, worlds = [found.reason] if found.reason else [], None
     remedy = find_remedy(mission) if reasons else ""
-    reasons += find_pose_faults(mission, parts.errors, 0.5 * found.cycles)
+    if not reasons:
+        reasons = find_pose_faults(mission, parts.errors) or _find_error_faults(mission, mean_error)
     if not reasons:
         worlds = fly_drawn_worlds(parts)
         if not worlds.suffices:
             reasons, remedy = [worlds.describe_failures()], find_remedy(mission, worlds.failed)
+    duration, path_time, energy = _compute_means(found, worlds)
     cycling = found.duration - mission.sections.localization.background_noise_duration
     played = cycling - found.cycles * mission.rig.turnaround
     bend = np.max(compute_curvature(mission.path.points))
@@ -129,19 +137,43 @@ def preview(mission: Mission) -> Preview:
         corners=len(find_corners(mission.path.points)),
         tightest_radius=float(1.0 / bend) if bend > 0.0 else float("inf"),
         remarks=mission.path_remarks,
-        duration=float("nan") if found.reason else found.duration,
-        path_time=float("nan") if found.reason else found.path_time,
+        duration=duration,
+        path_time=path_time,
         requested_time=None if mission.path.speed is None else mission.path.speed.duration,
         cycles=found.cycles,
         trail=found.trail,
         force_profile=forecast,
-        localization_error=compute_horizontal_rms(expected.compute_covariances(0.5 * found.cycles)),
+        localization_error=compute_horizontal_rms(covariances),
         noise_error=compute_horizontal_rms(expected.noise),
-        coil_energy=found.energy,
+        mean_localization_error=mean_error,
+        coil_energy=energy,
         worlds=worlds,
         remedy=remedy,
         reasons=reasons,
     )
+
+
+def _find_error_faults(mission: Mission, mean_error: float) -> list[str]:
+    """Return why poses are too poor for the verdict; empty if they are not."""
+    most = mission.sections.verdict.mean_localization_mm
+    if most is None or mean_error <= most * 1e-3:
+        return []
+    return [
+        f"poses would err by {mean_error * 1e3:.2f} mm in the mean, more than mean_localization_mm = {most:g}; "
+        "listen longer ([cycle] half_periods), or excite more."
+    ]
+
+
+def _compute_means(found: Outcome, worlds: DrawnWorlds | None) -> tuple[float, float, float]:
+    """Compute duration in s, time on the path in s and coil energy in J: means over the drawn worlds that ended."""
+    if found.reason:
+        return float("nan"), float("nan"), found.energy
+    if worlds is None or not np.isfinite(worlds.durations).any():
+        return found.duration, found.path_time, found.energy
+    duration, path_time, energy = (
+        float(np.nanmean(values)) for values in (worlds.durations, worlds.path_times, worlds.energies)
+    )
+    return duration, path_time, energy
 
 
 def pick_typical_shot(shots: list[Shot]) -> Shot:

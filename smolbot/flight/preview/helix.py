@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from smolbot.config.feasibility import compute_expected_errors
+from smolbot.config.expected_errors import ExpectedErrors, compute_horizontal_rms
+from smolbot.config.feasibility import compute_states_along
 from smolbot.config.mission import Mission
 from smolbot.config.plugins import load_plugin
 from smolbot.core.arrays import FloatArray
@@ -22,6 +23,9 @@ from smolbot.paths.curve import Curve
 
 BEND_SPAN = 4e-3
 """Length, in m, over which a path's bend is measured: a robot of 7 mm rounds off sharper corners."""
+
+N_ERROR_POINTS = 9
+"""Points of the path at which the error of a pose is computed."""
 
 MAX_PATH_DISTANCE = 1.5e-3
 """Distance from the path, in m, beyond which a simulated mission counts as not feasible."""
@@ -52,7 +56,10 @@ class HelixPreview(Readable):
     torque_margin : ndarray, shape (n,)
         Least torque of the field over the torque that the gel requires, along the path; below 1 the robot steps out.
     localization_error : ndarray, shape (n,), in m
-        Horizontal rms error of one pose, along the path.
+        Horizontal rms error of one pose along the path, with sensors and device as uncertain as half the flight leaves
+        them.
+    noise_error : ndarray, shape (n,), in m
+        The same by noise alone.
     reasons : list of str
         Why not to fly; empty means go.
     """
@@ -67,6 +74,7 @@ class HelixPreview(Readable):
     tightest_radius: float
     torque_margin: FloatArray
     localization_error: FloatArray
+    noise_error: FloatArray
     reasons: list[str] = field(default_factory=list)
 
     @property
@@ -109,6 +117,8 @@ def preview_helix(mission: Mission) -> HelixPreview:
             f"the path bends with a radius of {bend * 1e3:.1f} mm; "
             f"this robot turns with {radius * 1e3:.1f} mm at least.",
         )
+    states = compute_states_along(mission, mission.path, np.linspace(0.0, mission.path.length, N_ERROR_POINTS))
+    expected = ExpectedErrors.expect(mission, *states)
     turns = [sum(w.turns for w in shot.windows if isinstance(w, Rotate)) for shot in shots]
     listening = Shot(setup.cycle.windows(setup.device.frequency))
     return HelixPreview(
@@ -121,7 +131,8 @@ def preview_helix(mission: Mission) -> HelixPreview:
         min_radius=radius,
         tightest_radius=bend,
         torque_margin=margin,
-        localization_error=compute_expected_errors(mission, mission.path, np.linspace(0.0, mission.path.length, 9)),
+        localization_error=compute_horizontal_rms(expected.compute_covariances(0.5 * len(shots))),
+        noise_error=compute_horizontal_rms(expected.noise),
         reasons=reasons,
     )
 

@@ -36,8 +36,8 @@ class Perturbation:
         Factors.
     coil_gains : ndarray, shape (n_coils,), or None
         Factors on the field of each coil; None for 1.
-    flow : ndarray, shape (2,), in m/s
-        Of the liquid, world frame.
+    flow : float
+        Factor on the speed of the liquid's flow that the rig file gives.
     start_offset : ndarray, shape (2,), in m
         From the requested start position.
     heading : float, in rad, or None
@@ -54,7 +54,7 @@ class Perturbation:
     rotational_drag: float = 1.0
     moment: float = 1.0
     coil_gains: FloatArray | None = None
-    flow: FloatArray = field(default_factory=lambda: np.zeros(2))
+    flow: float = 1.0
     start_offset: FloatArray = field(default_factory=lambda: np.zeros(2))
     heading: float | None = None
     pose_noise: float = 1.0
@@ -144,6 +144,8 @@ class ModelWorld:
     ----------
     position : ndarray, shape (3,), in m, world frame
     heading : float, in rad
+    flow : ndarray, shape (2,), in m/s, world frame
+        Of the liquid, at the speed that the rig file gives and in a direction of the world's own.
     """
 
     def __init__(
@@ -160,10 +162,12 @@ class ModelWorld:
         self._gains = np.ones(setup.table.n_coils) if perturbation.coil_gains is None else perturbation.coil_gains
         self._errors, self._perturbation = errors, perturbation
         self._rng = np.random.default_rng(seed)
+        speed, way = perturbation.flow * mission.rig.sections.medium.flow, self._rng.uniform(-np.pi, np.pi)
+        self.flow = speed * np.array([np.cos(way), np.sin(way)])
         self._along_x = compute_swimming_orientation(setup.device, np.array([1.0, 0.0, 0.0]))
         self.position = np.array([*(np.array(mission.start) + perturbation.start_offset), mission.rig.surface_z])
-        way = mission.path.points[0] - self.position
-        toward = float(np.arctan2(way[1], way[0]))
+        start = mission.path.points[0] - self.position
+        toward = float(np.arctan2(start[1], start[0]))
         self.heading = toward if perturbation.heading is None else perturbation.heading
 
     @property
@@ -181,7 +185,7 @@ class ModelWorld:
             Time that passes after it.
         """
         position = self.position.copy()
-        position[:2] += self._perturbation.flow * (shot.duration + turnaround)
+        position[:2] += self.flow * (shot.duration + turnaround)
         for window in shot.windows:
             if isinstance(window, Actuate) and any(window.currents):
                 field_, gradient = self._table.field_and_gradient(self.position[None, :])

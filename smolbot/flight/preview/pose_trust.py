@@ -1,4 +1,4 @@
-"""Whether the poses along a path would be trusted, and good enough for the mission's verdict."""
+"""Whether the poses along a path would be trusted."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from smolbot.flight.preview.model_world import PoseErrors
 from smolbot.localization.localizer import MAX_ROLL, MAX_SIGMA, MIN_AMPLITUDE
 
 
-def find_pose_faults(mission: Mission, errors: PoseErrors, recordings: float) -> list[str]:
+def find_pose_faults(mission: Mission, errors: PoseErrors) -> list[str]:
     """Find why a flight would not get the poses that it needs.
 
     A pose whose expected covariance exceeds what the localizer trusts is never acted on.
@@ -23,8 +23,6 @@ def find_pose_faults(mission: Mission, errors: PoseErrors, recordings: float) ->
     mission : Mission
     errors : PoseErrors
         Along its path.
-    recordings : float
-        Number of recordings from which the flight has learned its sensors, half-way.
 
     Returns
     -------
@@ -51,11 +49,6 @@ def find_pose_faults(mission: Mission, errors: PoseErrors, recordings: float) ->
             f"{stops:.3g}°, and one pose errs by {placed[worst] * 1e3:.2g} mm and "
             f"{math.degrees(deviations[worst, 3:6].max()):.2g}° (rms of the worst axes)."
         ]
-    most = mission.sections.verdict.mean_localization_mm
-    totals = errors.expected.compute_covariances(recordings)
-    expected = 1e3 * float(np.mean(np.sqrt(np.trace(totals[:, :3, :3], axis1=1, axis2=2))))
-    if most is not None and expected > most:
-        return [f"poses would err by {expected:.2f} mm on average, above mean_localization_mm = {most:g}."]
     return []
 
 

@@ -262,7 +262,8 @@ class Rollout:
             return f"{self.mission.law} would give up near {_format_mm(position)}: {command.note}"
         stall = self._stall.update(position, command, lasted if shot.mode == "track" else 0.0)
         if stall is not None:
-            return describe_stall(stall, self.mission.path, self.mission.law, self.controller, would=True)
+            limits = self.mission.rig.limits
+            return describe_stall(stall, self.mission.path, self.mission.law, self.controller, limits, would=True)
         if flown > limit and not command.done:
             done = f"{self._stall.arc_length * 1e3:.1f} of {self.mission.path.length * 1e3:.1f} mm"
             return f"it would not end within max_duration_s = {limit:g} s: {done} would be done."

@@ -72,16 +72,21 @@ def preview(mission: MissionArgument, rig: RigOption = None, set_: SetOption = N
 
 
 def _show_preview(mission: Mission, found: Preview, json: bool) -> None:
-    error = found.localization_error * 1e3
+    error, noise = found.localization_error * 1e3, found.noise_error * 1e3
     rows = [
         ("a cycle", found.shot.timeline(mission.rig.coil_names)),
         ("loop rate", f"{found.rate:.2f} Hz (timeline allows {found.rate_limit:.2f} Hz)"),
         ("path", _format_path(found)),
         *[("", remark) for remark in found.remarks],
-        ("expected duration", f"{found.duration:.0f} s" if found.go else "does not end"),
+        ("expected duration", _format_duration(found)),
         ("along the path", _format_pace(found)),
         *_force_rows(mission, found.force_profile),
-        ("localization error", f"{error.min():.2f} to {error.max():.2f} mm rms in the plane, each pose"),
+        (
+            "localization error",
+            f"{error.min():.2f} to {error.max():.2f} mm rms in the plane, each pose; noise alone {noise.min():.2f} to "
+            f"{noise.max():.2f} mm",
+        ),
+        ("", f"{found.mean_localization_error * 1e3:.2f} mm in space, mean over the path"),
         ("coil energy", f"{found.coil_energy:.0f} J"),
         *([("in drawn worlds", str(found.worlds))] if found.worlds is not None else []),
         *([("what would do", found.remedy)] if found.remedy else []),
@@ -98,6 +103,8 @@ def _show_preview(mission: Mission, found: Preview, json: bool) -> None:
         "expected_cycles": found.cycles,
         **_force_figures(found.force_profile),
         "localization_error_mm": {"min": error.min(), "max": error.max()},
+        "localization_noise_mm": {"min": noise.min(), "max": noise.max()},
+        "mean_localization_error_mm": found.mean_localization_error * 1e3,
         "coil_energy_j": found.coil_energy,
         "drawn_worlds": None if found.worlds is None else {"flown": found.worlds.flown, "ended": found.worlds.ended},
         "remedy": found.remedy,
@@ -115,7 +122,7 @@ def _force_rows(mission: Mission, reach: ForceProfile | None) -> list[tuple[str,
     x, y = reach.points[worst, :2] * 1e3
     middle, most = np.degrees([np.median(reach.direction_error), reach.direction_error[worst]])
     return [
-        ("force along the path", f"{reach.force.min() * 1e6:.0f} to {reach.force.max() * 1e6:.0f} µN"),
+        ("force along the path", f"{reach.force.min() * 1e6:.3g} to {reach.force.max() * 1e6:.3g} µN"),
         ("force direction error", f"median {middle:.0f}°, worst {most:.0f}° at ({x:.1f}, {y:.1f}) mm"),
     ]
 
@@ -134,7 +141,7 @@ def _force_figures(reach: ForceProfile | None) -> dict[str, Any]:
 
 
 def _show_helix_preview(mission: Mission, found: HelixPreview, json: bool) -> None:
-    error, margin = found.localization_error * 1e3, found.torque_margin
+    error, noise, margin = found.localization_error * 1e3, found.noise_error * 1e3, found.torque_margin
     turns = ", ".join(f"{t:g}" for t in found.turns)
     unknown = f"not known for this robot: the law '{mission.law}' has no method tightest_bend()"
     radius = unknown if found.min_radius is None else f"{found.min_radius * 1e3:.1f} mm for this robot"
@@ -146,7 +153,11 @@ def _show_helix_preview(mission: Mission, found: HelixPreview, json: bool) -> No
         ("expected duration", f"{found.duration:.0f} s" if found.go else "does not end"),
         ("tightest bend", f"{found.tightest_radius * 1e3:.1f} mm in the path, {radius}"),
         ("torque to spare", f"{margin.min():.2f} to {margin.max():.2f} times what the gel asks for"),
-        ("localization error", f"{error.min():.3f} to {error.max():.3f} mm rms in the plane, each pose"),
+        (
+            "localization error",
+            f"{error.min():.2f} to {error.max():.2f} mm rms in the plane, each pose; noise alone {noise.min():.3f} to "
+            f"{noise.max():.3f} mm",
+        ),
     ]
     figures = {
         "listening": str(found.listening),
@@ -161,6 +172,7 @@ def _show_helix_preview(mission: Mission, found: HelixPreview, json: bool) -> No
         },
         "torque_margin": {"min": float(margin.min()), "max": float(margin.max())},
         "localization_error_mm": {"min": float(error.min()), "max": float(error.max())},
+        "localization_noise_mm": {"min": float(noise.min()), "max": float(noise.max())},
     }
     show_verdict(mission, found, rows, figures if json else None)
 
@@ -173,8 +185,19 @@ def _format_path(found: Preview) -> str:
     return f"{found.length * 1e3:.1f} mm, {corners}, {bend}"
 
 
+def _format_duration(found: Preview) -> str:
+    import numpy as np
+
+    if not np.isfinite(found.duration):
+        return "does not end"
+    if found.worlds is None:
+        return f"{found.duration:.0f} s"
+    shortest, longest = np.nanmin(found.worlds.durations), np.nanmax(found.worlds.durations)
+    return f"{found.duration:.0f} s ({shortest:.0f} to {longest:.0f} s in drawn worlds)"
+
+
 def _format_pace(found: Preview) -> str:
-    if not found.go:
+    if not found.path_time > 0.0:
         return "does not end"
     got = f"{found.path_time:.0f} s, {found.length * 1e3 / found.path_time:.2f} mm/s on average"
     if found.requested_time is None:

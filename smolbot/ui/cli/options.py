@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from smolbot.errors import InputError
 from smolbot.functions.settings import DEFAULT_ROBOT
+
+if TYPE_CHECKING:
+    from smolbot.config.rig import RigConfig
 
 MissionArgument = Annotated[
     str, typer.Argument(help="Shipped mission by name, or your own by path.", metavar="MISSION")
@@ -21,6 +24,14 @@ SetOption = Annotated[
     typer.Option(
         "--set",
         help="key=value overrides the mission file; rig.key=value the rig file; @FILE: all values of a TOML file.",
+    ),
+]
+FaultOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault",
+        help="Fault of a simulated tank: NAME[.CHANNEL][=VALUE][@MOMENT][:once|good|SECONDS], such as "
+        "sensor_gain.3=0.5@30s:10; smolbot simulate --list-faults lists them.",
     ),
 ]
 RobotOption = Annotated[
@@ -61,6 +72,48 @@ def parse_settings(pairs: list[str] | None) -> dict[str, str]:
             raise InputError(f"--set needs key=value, such as controller.tolerance_mm=0.5; got '{pair}'.")
         found[key.strip()] = value.strip()
     return found
+
+
+FAULTS_KEY = "rig.tank.faults"
+"""Setting that injects faults into a simulated tank."""
+
+
+def add_faults(settings: dict[str, str], faults: list[str] | None) -> dict[str, str]:
+    """Add the options ``--fault`` to the settings, as the key of the rig file that they stand for.
+
+    Parameters
+    ----------
+    settings : dict of str
+    faults : list of str or None
+
+    Returns
+    -------
+    dict of str
+
+    Examples
+    --------
+    >>> add_faults({}, ["drag=0.5"])
+    {'rig.tank.faults': '["drag=0.5"]'}
+    """
+    import json
+
+    return {**settings, FAULTS_KEY: json.dumps(faults)} if faults else settings
+
+
+def require_tank(rig: RigConfig, faults: list[str] | None) -> None:
+    """Raise `InputError` if faults are to be injected into anything but a simulated tank.
+
+    Parameters
+    ----------
+    rig : RigConfig
+    faults : list of str or None
+        The options ``--fault``.
+    """
+    if faults and rig.world != "tank":
+        raise InputError(
+            f"--fault needs a rig of world 'tank'; '{rig.name}' is of world '{rig.world}'. A twin takes its faults "
+            "itself: smolbot twin --fault."
+        )
 
 
 def _read_settings(path: Path) -> dict[str, str]:

@@ -15,7 +15,17 @@ if TYPE_CHECKING:
     from smolbot.config.load import AnyMission
     from smolbot.runs.run import Listener, Run
 
-from smolbot.ui.cli.options import ForceOption, JsonOption, MissionArgument, RigOption, SetOption, parse_settings
+from smolbot.ui.cli.options import (
+    FaultOption,
+    ForceOption,
+    JsonOption,
+    MissionArgument,
+    RigOption,
+    SetOption,
+    add_faults,
+    parse_settings,
+    require_tank,
+)
 
 
 def run(
@@ -24,6 +34,7 @@ def run(
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same run, bit for bit.")] = 1,
     out: Annotated[Path | None, typer.Option(help="Run folder to make; default: a new one in runs/.")] = None,
     set_: SetOption = None,
+    fault: FaultOption = None,
     gui: Annotated[bool, typer.Option("--gui", help="Show the simulated world in a window.")] = False,
     live: Annotated[
         bool, typer.Option("--live", help="Show it on a console, from which it can be stopped too.")
@@ -44,8 +55,9 @@ def run(
     from smolbot.ui.cli.progress import show_progress
     from smolbot.ui.cli.stop_key import STOP_KEY_REASON, Keyboard
 
-    settings = parse_settings(set_)
+    settings = add_faults(parse_settings(set_), fault)
     loaded = load_mission(mission, rig, settings)
+    require_tank(loaded.rig, fault)
     folder = RunFolder(out) if out is not None else make_run_folder(loaded, seed)
     require_go(loaded, force)
     latch, operator = Latch(), TerminalOperator()

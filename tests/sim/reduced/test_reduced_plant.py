@@ -97,6 +97,14 @@ def test_a_wall_holds_the_robot_where_the_tanks_does(line, coil):
     assert np.linalg.norm(full[-1, :2] - reduced[-1, :2]) < 1e-3
 
 
+def test_a_liquid_that_flows_and_rotates_carries_the_robot_as_the_tanks_does():
+    flow = {"rig.medium.flow_mm_s": "1.5", "rig.tank.flow.rotating_percent": "40.0"}
+    mission = load_steering_mission("line", settings=flow)
+    full, reduced = ways(mission, 6, [(Rest(0.5), Actuate((4.0, 0.0, 0.0, 2.0), 0.05))] * 6)
+    assert np.linalg.norm(full[-1, :2] - full[0, :2]) > 1e-3
+    assert np.linalg.norm(full[-1, :2] - reduced[-1, :2]) < 0.03e-3
+
+
 def test_other_seeds_and_doubled_mismatches_lead_elsewhere(line):
     shots = [(Actuate((8.0, 0.0, 3.0, 0.0), 0.1),)] * 20
 

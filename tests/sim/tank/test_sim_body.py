@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from sim.tank.carriers.bullet import Bodies
-from sim.tank.carriers.hydrodynamics import GRAVITY, Hull, compute_float_step
+from sim.tank.carriers.hydrodynamics import GRAVITY, Hull, compute_float_step, compute_flow
 from sim.tank.mismatch import RandomStreams, sample_truth
-from sim.tank.settings import TankSettings
+from sim.tank.settings import FlowSection, TankSettings
+from smolbot.config.rig import load_rig
+from smolbot.config.robot import load_robot
 from smolbot.core.rotations import (
     matrix_from_quaternion,
     multiply_quaternions,
@@ -91,6 +93,51 @@ def test_surface_rights_a_tilted_robot(world):
     bodies.set_pose(np.array([0, 0, hull.float_height]), multiply_quaternions(tilt, LEVEL))
     _, quaternion, _, _ = drift(hull, bodies, (0,) * 6, 2.0, 1e-3)
     assert matrix_from_quaternion(np.array(quaternion))[2, 1] > 0.9999
+
+
+def flowing(settings, **flow):
+    """A tank's liquid that flows at 2 mm/s."""
+    rig = load_rig("tank", settings={"medium.flow_mm_s": "2.0"})
+    settings = settings.model_copy(update={"flow": FlowSection(**flow)})
+    robot, truth = load_robot("gradient"), sample_truth(settings, 6, 10, RandomStreams.from_seed(0), ideal=True)
+    return Hull.build(rig, robot, settings, truth), rig, truth
+
+
+@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize("heading", [0.0, 1.1])
+def test_a_robot_that_nothing_pulls_goes_with_the_flow(world, step, heading):
+    _, bodies = world
+    hull, _, _ = flowing(TankSettings(), direction_deg=30.0)
+    ahead = np.array([np.cos(heading), np.sin(heading), 0])
+    bodies.set_pose(np.array([0, 0, hull.float_height]), quaternion_from_axes(ahead, np.array([0, 0, 1.0]), "zy"))
+    _, _, velocity, spin = drift(hull, bodies, (0,) * 6, 0.2, step)
+    assert velocity == pytest.approx((2e-3 * np.cos(np.radians(30)), 1e-3, 0.0), abs=1e-8)
+    assert spin == pytest.approx((0.0, 0.0, 0.0), abs=1e-8)
+
+
+def test_in_a_rotating_liquid_a_robot_circles_and_turns_with_it(world):
+    _, bodies = world
+    hull, rig, truth = flowing(TankSettings(), rotating_percent=100.0)
+    omega = truth.flow_sense * 2e-3 / (0.5 * rig.container.size[0])
+    bodies.set_pose(np.array([8e-3, 0, hull.float_height]), LEVEL)
+    place, quaternion, _, spin = drift(hull, bodies, (0,) * 6, 4.0, 1e-3)
+    assert spin[2] == pytest.approx(omega, rel=1e-3)
+    assert np.arctan2(place[1], place[0]) == pytest.approx(4.0 * omega, rel=1e-2)
+    assert np.hypot(*place[:2]) == pytest.approx(8e-3, rel=1e-3)
+    ahead = matrix_from_quaternion(np.array(quaternion))[:, 2]
+    assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(4.0 * omega, rel=1e-2)
+
+
+def test_the_flow_s_direction_is_sampled_and_its_speed_nowhere_above_the_rig_file_s():
+    settings = TankSettings(flow=FlowSection(rotating_percent=40.0))
+    rig, directions = load_rig("tank", settings={"medium.flow_mm_s": "2.0"}), []
+    for seed in range(20):
+        truth = sample_truth(settings, 6, 10, RandomStreams.from_seed(seed))
+        x, y, omega = compute_flow(rig, settings, truth)
+        directions.append(np.sign([x, y, omega]))
+        around = 20e-3 * np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 6, 30)])
+        assert np.max(np.hypot(x - omega * around[:, 1], y + omega * around[:, 0])) <= 2e-3
+    assert len(np.unique(directions, axis=0)) > 4
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.7, 2.5, 4.0])
