@@ -64,6 +64,8 @@ class DrawnWorlds(Readable):
         Mean distance of the robot from the path, and of a pose from the robot.
     failed : tuple of int
         Numbers of the worlds that fail.
+    late : bool
+        Whether the time limit ended any of them.
     reasons : tuple of str
         Why the others failed, the most frequent kind first, one for each of them.
     """
@@ -76,6 +78,7 @@ class DrawnWorlds(Readable):
     tracking_errors: FloatArray
     localization_errors: FloatArray
     failed: tuple[int, ...]
+    late: bool
     reasons: tuple[str, ...]
 
     @property
@@ -228,6 +231,7 @@ def _summarize(flown: Sequence[_Flown], failed: Sequence[str]) -> DrawnWorlds:
         tracking_errors=np.array([world.tracking_error for world in flown]),
         localization_errors=np.array([world.localization_error for world in flown]),
         failed=tuple(number for number, world in enumerate(flown) if world.reason),
+        late=any(world.outcome.late for world in flown),
         reasons=_sort_by_kind(failed),
     )
 

@@ -96,13 +96,15 @@ class Preview(Readable):
         return not self.reasons
 
 
-def preview(mission: Mission) -> Preview:
+def preview(mission: Mission, *, seek_remedy: bool = True) -> Preview:
     """Time a mission and simulate it on the controller's own model, with the pose errors to be expected.
 
     Parameters
     ----------
     mission : Mission
         With a robot that is moved by gradient forces.
+    seek_remedy : bool
+        Whether to seek what would mend a mission that would not end, which takes some rollouts more.
 
     Returns
     -------
@@ -115,13 +117,14 @@ def preview(mission: Mission) -> Preview:
     covariances = expected.compute_covariances(0.5 * found.cycles)
     mean_error = compute_mean_distance(covariances)
     reasons, worlds = [found.reason] if found.reason else [], None
-    remedy = find_remedy(mission) if reasons else ""
+    remedy = find_remedy(mission, late=found.late) if reasons and seek_remedy else ""
     if not reasons:
         reasons = find_pose_faults(mission, parts.errors) or _find_error_faults(mission, mean_error)
     if not reasons:
         worlds = fly_drawn_worlds(parts)
         if not worlds.suffices:
-            reasons, remedy = [worlds.describe_failures()], find_remedy(mission, worlds.failed)
+            reasons = [worlds.describe_failures()]
+            remedy = find_remedy(mission, late=worlds.late, failed=worlds.failed) if seek_remedy else ""
     duration, path_time, energy = _compute_means(found, worlds)
     cycling = found.duration - mission.sections.localization.background_noise_duration
     played = cycling - found.cycles * mission.rig.turnaround

@@ -32,13 +32,15 @@ TAIL_FIRST = "tail_first"
 Settings = Mapping[str, str | float]
 
 
-def find_remedy(mission: Mission, failed: Sequence[int] = ()) -> str:
+def find_remedy(mission: Mission, *, late: bool, failed: Sequence[int] = ()) -> str:
     """Find a change with which a mission would end in the controller's model, in its own world and in drawn ones.
 
     Parameters
     ----------
     mission : Mission
         One that would not end, with a robot that is moved by gradient forces.
+    late : bool
+        Whether the time limit ends it: no longer one helps a robot that stalls.
     failed : sequence of int
         Numbers of the drawn worlds in which it fails, where it ends in its own.
 
@@ -48,18 +50,19 @@ def find_remedy(mission: Mission, failed: Sequence[int] = ()) -> str:
         The change, as settings of a command; empty if none of those that were tried helps.
     """
     worlds = [*failed, *(number for number in range(TRIED_WORLDS) if number not in failed)][:TRIED_WORLDS]
-    for settings in _list_changes(mission):
+    for settings in _list_changes(mission, late=late):
         found = _try_change(mission, settings, worlds)
         if found:
             return found
     return ""
 
 
-def _list_changes(mission: Mission) -> Iterator[Settings]:
+def _list_changes(mission: Mission, *, late: bool) -> Iterator[Settings]:
     """List changes, those that cost least first."""
     limit, current = mission.sections.stop.max_duration_s, mission.rig.limits.max_current
     law = load_plugin("controllers", mission.law)
-    yield from ({"stop.max_duration_s": factor * limit} for factor in LIMIT_FACTORS)
+    if late:
+        yield from ({"stop.max_duration_s": factor * limit} for factor in LIMIT_FACTORS)
     if TAIL_FIRST in law.gains and mission.gains.get(TAIL_FIRST, law.gains[TAIL_FIRST].default) < 1.0:
         yield {f"controller.gains.{TAIL_FIRST}": 1.0}
     for name in list_plugins("controllers"):

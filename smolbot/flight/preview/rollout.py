@@ -87,6 +87,8 @@ class Outcome:
     ----------
     reason : str
         Why the path's end is not reached; empty if it is.
+    late : bool
+        Whether that is the time limit.
     duration, path_time : float, in s
         In all, with the learning phase; from the path's start on.
     learned_at : float, in s
@@ -108,6 +110,7 @@ class Outcome:
     """
 
     reason: str
+    late: bool
     duration: float
     path_time: float
     learned_at: float
@@ -203,6 +206,7 @@ class Rollout:
         resistances = self.mission.rig.coil_resistances
         return Outcome(
             reason=reason or "",
+            late=reason is not None and self.clock - begun > limit,
             duration=self.clock,
             path_time=self.clock - path_begun,
             learned_at=begun,

@@ -62,7 +62,7 @@ def test_every_disagreement_is_counted_and_listed():
 
 
 def test_a_world_that_cannot_be_flown_is_a_failed_row_that_names_its_error(monkeypatch):
-    def fail(*_):
+    def fail(*_, **__):
         raise InputError("nobody is at home.")
 
     monkeypatch.setattr("smolbot.config.load.load_mission", lambda path: object())
