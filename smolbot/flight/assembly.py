@@ -279,7 +279,7 @@ def _make_steering_parts(mission: Mission, controller: Controller | None = None)
     tracker = Tracker(setup.robot, setup.device, setup.table)
     with report_plugin_errors("Controller", make, ""):
         law = controller or make(setup, mission.gains)
-    return tracker, StallWatch(Follower(mission.path, law), mission.path, mission.law, law)
+    return tracker, StallWatch(Follower(mission.path, law), mission.path, mission.law, law, setup.limits)
 
 
 def _make_watching_parts(mission: Observation) -> tuple[Tracker, Pilot]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smolbot.core.arrays import FloatArray
+from smolbot.core.limits import Limits
 from smolbot.core.shots import Shot
 from smolbot.errors import report_plugin_errors
 from smolbot.flight.pilots import Pilot
@@ -109,7 +110,7 @@ class StallMonitor:
             self.arc_length = float(self._arc[first + int(np.argmin(np.sum((ahead - position[:2]) ** 2, axis=1)))])
 
 
-def describe_stall(stall: Stall, path: Curve, law: str, controller: Controller, *, would: bool) -> str:
+def describe_stall(stall: Stall, path: Curve, law: str, controller: Controller, limits: Limits, *, would: bool) -> str:
     """Describe a stall: where, how far along the path, and why, as far as the law computes its force.
 
     Parameters
@@ -119,6 +120,8 @@ def describe_stall(stall: Stall, path: Curve, law: str, controller: Controller, 
     law : str
         Name of the law.
     controller : Controller
+    limits : Limits
+        Of the coils.
     would : bool
         Whether it is predicted (``the robot would stall``).
 
@@ -128,13 +131,11 @@ def describe_stall(stall: Stall, path: Curve, law: str, controller: Controller, 
     """
     x, y = stall.position[:2] * 1e3
     done = f"{stall.arc_length * 1e3:.1f} of {path.length * 1e3:.1f} mm"
-    verb = "would stall" if would else "stalled"
-    return (
-        f"the robot {verb} near ({x:.1f}, {y:.1f}) mm, {done} along the path: {_explain(stall, path, law, controller)}"
-    )
+    verb, why = "would stall" if would else "stalled", _explain(stall, path, law, controller, limits)
+    return f"the robot {verb} near ({x:.1f}, {y:.1f}) mm, {done} along the path: {why}"
 
 
-def _explain(stall: Stall, path: Curve, law: str, controller: Controller) -> str:
+def _explain(stall: Stall, path: Curve, law: str, controller: Controller, limits: Limits) -> str:
     """Explain a stall by the law's force there."""
     if not isinstance(controller, ForceForecast):
         return f"{law} does not move it on there."
@@ -148,7 +149,9 @@ def _explain(stall: Stall, path: Curve, law: str, controller: Controller) -> str
     force = min(float(np.min(profile.force)) for profile in profiles)
     error = max(float(np.max(profile.direction_error)) for profile in profiles)
     if force < MIN_FORCE:
-        return f"within the coils' limits {law} finds hardly any force along the path there."
+        low = 0.0 if limits.unipolar else -limits.max_current
+        currents = f"with {low:g} to {limits.max_current:g} A in each of {len(limits.coils)} coils"
+        return f"{currents}, {law} finds hardly any force along the path there."
     if error > MAX_DIRECTION_ERROR:
         return f"the force of {law} does not point where it should there, {np.degrees(error):.0f}° off."
     return f"{law} does not get on with its {force * 1e6:.3g} µN there."
@@ -166,10 +169,13 @@ class StallWatch:
         Name of the law.
     controller : Controller
         Its controller, which explains a stall.
+    limits : Limits
+        Of the coils.
     """
 
-    def __init__(self, pilot: Pilot, path: Curve, law: str, controller: Controller) -> None:
+    def __init__(self, pilot: Pilot, path: Curve, law: str, controller: Controller, limits: Limits) -> None:
         self.pilot = pilot
+        self._limits = limits
         self.controller = controller
         self._path = path
         self._law = law
@@ -197,5 +203,5 @@ class StallWatch:
         stall = self._monitor.update(tracker.pose.position, command, lasted if shot.mode == "track" else 0.0)
         if stall is None:
             return command
-        note = describe_stall(stall, self._path, self._law, self.controller, would=False)
+        note = describe_stall(stall, self._path, self._law, self.controller, self._limits, would=False)
         return replace(command, window=None, stuck=True, note=note)
