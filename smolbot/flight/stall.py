@@ -21,8 +21,9 @@ STALL_TIME = 20.0
 STALL_ADVANCE = 0.4e-3
 """Advance, in m, that counts: several times what the errors of tracked poses feign in a robot that stands still."""
 
-PACE_SHARE = 0.25
-"""Advance that counts on a path with a requested speed, as a share of the way requested meanwhile, if that is less."""
+PACED_STEP = 2e-3
+"""Length, in m, whose time at a requested speed is added: a law with goals along the path may go from one to the next,
+and wait there."""
 
 SEARCH_AHEAD, SEARCH_SPACING = 4e-3, 0.1e-3
 """Range along the path, in m, in which the place of a robot is searched ahead of its last one, and its spacing: the
@@ -62,9 +63,9 @@ class StallMonitor:
         self._arc = np.append(np.arange(0.0, path.length, SEARCH_SPACING), path.length)
         self._points = path.at(self._arc)[:, :2]
         self._length = path.length
-        self._counts = STALL_ADVANCE
+        self._patience = STALL_TIME
         if path.speed is not None:
-            self._counts = min(STALL_ADVANCE, PACE_SHARE * STALL_TIME * path.length / path.speed.duration)
+            self._patience += PACED_STEP * path.speed.duration / path.length
         self.reset()
 
     def reset(self) -> None:
@@ -93,15 +94,15 @@ class StallMonitor:
         """
         if command.phase == "approach":
             away = float(np.hypot(*(position[:2] - self._points[0])))
-            advanced = away < self._nearest - self._counts
+            advanced = away < self._nearest - STALL_ADVANCE
             self._nearest = min(away, self._nearest) if advanced else self._nearest
         else:
             self._locate(position)
             self.arc_length = max(self.arc_length, min(command.progress, self._length))
-            advanced = self.arc_length > self._best + self._counts
+            advanced = self.arc_length > self._best + STALL_ADVANCE
             self._best = self.arc_length if advanced else self._best
         self._steered = 0.0 if advanced else self._steered + steered
-        return Stall(self.arc_length, np.array(position)) if self._steered > STALL_TIME else None
+        return Stall(self.arc_length, np.array(position)) if self._steered > self._patience else None
 
     def _locate(self, position: FloatArray) -> None:
         first = int(np.searchsorted(self._arc, self.arc_length))
