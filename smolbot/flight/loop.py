@@ -379,6 +379,8 @@ class Loop:
             self._miss = ""
             if self.channels is not None:
                 self.channels.gate.accept()
+        elif pose is not None and pose.trusted and not self.independent:
+            pose, self._miss = replace(pose, trusted=False), "the pose does not agree with the track"
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.predict(*self.tracker.motion)
         learns = not self.independent and tracked is not None and tracked.trusted

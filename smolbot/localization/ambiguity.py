@@ -15,6 +15,9 @@ from smolbot.localization.problem import Fit, Problem
 MIN_ODDS = 12.0
 """Chi-square by which every other solution must be worse for a cold start to be trusted (odds of 400 to 1)."""
 
+MAX_DECIDING_TURN = np.radians(60.0)
+"""Turn since the prior up to which it decides between two orientations half a turn apart: farther, neither is near."""
+
 SAME_POSITION = 2e-3
 """Distance, in m, within which two fits have the same position."""
 
@@ -38,11 +41,14 @@ class ChosenFit(NamedTuple):
         Residual of the flipped orientation over that of the fit, at least 1.
     odds : float
         Difference in chi-square to the best other solution.
+    clear : bool
+        Whether the data, or the prior, decide between this fit and every other solution.
     """
 
     fit: Fit
     flip_margin: float
     odds: float
+    clear: bool
 
 
 def choose_fit(problem: Problem, found: list[Fit], device: Device, prior: Pose | None) -> ChosenFit:
@@ -72,7 +78,8 @@ def choose_fit(problem: Problem, found: list[Fit], device: Device, prior: Pose |
     rivals = [f for f in found[1:] if not (along and _is_flipped(f, best)) and not _is_same_pose(f, best)]
     if rivals:
         odds = min(odds, (min(f.sse for f in rivals) - best.sse) / variance)
-    return ChosenFit(best, flip_margin, odds)
+    near = prior is not None and (along or _compute_turn(best, prior) < MAX_DECIDING_TURN)
+    return ChosenFit(best, flip_margin, odds, near or odds > MIN_ODDS)
 
 
 def count_degrees_of_freedom(problem: Problem) -> int:

@@ -14,7 +14,7 @@ from smolbot.core.rotations import choose_nearer_orientation, quaternion_from_ax
 from smolbot.core.sensing import Device, Recording, SensorArray
 from smolbot.errors import InputError
 from smolbot.localization import kernels
-from smolbot.localization.ambiguity import MIN_ODDS, choose_fit, compute_residual_variance, count_degrees_of_freedom
+from smolbot.localization.ambiguity import choose_fit, compute_residual_variance, count_degrees_of_freedom
 from smolbot.localization.array.consistency import ChannelCheck, check_channels
 from smolbot.localization.array.terms import ArrayTerms, compute_array_terms
 from smolbot.localization.basis import REFERENCE_ANGLE
@@ -472,7 +472,7 @@ class Localizer(PoseEstimatorBase):
 
         A `steady` device is recorded again and again, so its turn about the moment needs to be known only roughly.
         """
-        best, flip_margin, odds = choose_fit(problem, fits, self.device, prior)
+        best, flip_margin, _, clear = choose_fit(problem, fits, self.device, prior)
         variance = (
             _estimate_variance(problem, best) if problem.model.white else compute_residual_variance(problem, best)
         )
@@ -480,7 +480,7 @@ class Localizer(PoseEstimatorBase):
         usable = math.isfinite(spread[0, 0]) and best.amplitude > MIN_AMPLITUDE * problem.model.amplitude_max
         total = problem.total_sum_of_squares
         r_squared = 1.0 - best.sse / total if total > 0 else 0.0
-        known = usable and self._is_determined(spread, best, steady) and (prior is not None or odds > MIN_ODDS)
+        known = usable and clear and self._is_determined(spread, best, steady)
         orientation = quaternion_from_matrix(best.rotation)
         if self.device.along_cantilever:
             orientation = choose_nearer_orientation(orientation, None if prior is None else prior.orientation)
