@@ -9,22 +9,21 @@ import numpy as np
 from smolbot.config.document import Fault
 from smolbot.config.mission_base import MissionBase
 from smolbot.config.rig import RigConfig
+from smolbot.config.sensor_feasibility import find_saturation_faults, find_sensor_faults
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_axes
 from smolbot.core.shots import Shot
 from smolbot.errors import ConfigError
 from smolbot.localization.bounds import ListeningWindow, compute_pose_bound
-from smolbot.localization.chain import MEAN_WINDOW
 from smolbot.localization.expected_covariance import compute_expected_covariance
 from smolbot.localization.noise.room import NoiseLevels
-from smolbot.localization.problem import MIN_OUTPUTS
 from smolbot.paths.curve import Curve
 
 Point = tuple[float, float]
 
 N_PATH_POINTS = 5
-"""Of a path, at which a tolerance is held against the error to be expected."""
+"""Of a path, at which a tolerance is held against the error to be expected, and sensors against their range."""
 
 N_MAINS_DIRECTIONS = 3
 """Drawn directions of the mains that an expected error is averaged over."""
@@ -52,7 +51,11 @@ def find_fitness_faults(mission: MissionBase, path: Curve, start: Point, toleran
         *_find_container_faults(mission, path, start),
         *(_find_table_faults(mission, path, start) if mission.robot.kind == "gradient" else ()),
         *_find_limit_faults(mission),
-        *(_find_sensor_faults(mission) or _find_tolerance_faults(mission, path, tolerance)),
+        *(
+            find_sensor_faults(mission)
+            or find_saturation_faults(mission, path.at(np.linspace(0.0, path.length, N_PATH_POINTS)))
+            or _find_tolerance_faults(mission, path, tolerance)
+        ),
     ]
 
 
@@ -68,7 +71,7 @@ def find_listening_faults(mission: MissionBase) -> list[Fault]:
     list of Fault
         Empty if there is none.
     """
-    return [*_find_limit_faults(mission), *_find_sensor_faults(mission)]
+    return [*_find_limit_faults(mission), *find_sensor_faults(mission)]
 
 
 def _find_container_faults(mission: MissionBase, path: Curve, start: Point) -> list[Fault]:
@@ -113,23 +116,6 @@ def _find_table_faults(mission: MissionBase, path: Curve, start: Point) -> list[
 def _find_limit_faults(mission: MissionBase) -> list[Fault]:
     shot = Shot(mission.cycle.windows(mission.robot.device.frequency))
     return [Fault(("cycle",), message) for message in mission.rig.limits.faults(shot)]
-
-
-def _find_sensor_faults(mission: MissionBase) -> list[Fault]:
-    axes, frequency = mission.rig.sensors.axes, mission.robot.device.frequency
-    parallel = np.abs(axes @ axes.T) > np.cos(np.radians(2.0))
-    differences = int(np.sum(np.tril(parallel, -1).any(axis=1)))  # each with an earlier sensor of its direction
-    faults = []
-    if differences < MIN_OUTPUTS:
-        message = f"its {len(axes)} sensors form {differences} same-axis differences; a pose needs {MIN_OUTPUTS}."
-        faults.append(Fault(("rig",), message))
-    least = 2.0 * frequency * MEAN_WINDOW
-    if mission.rig.sample_rate < least:
-        message = (
-            f"it samples at {mission.rig.sample_rate:g} Hz; a device of {frequency:g} Hz needs {least:g} Hz or more."
-        )
-        faults.append(Fault(("rig",), message))
-    return faults
 
 
 def _find_tolerance_faults(mission: MissionBase, path: Curve, tolerance: float) -> list[Fault]:
