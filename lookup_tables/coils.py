@@ -24,6 +24,8 @@ CHUNK_SIZE = 40_000
 """Points of one call to magpylib: limits its memory."""
 SAME_DIGITS = 13
 """Decimals, in m, to which radii and heights are compared: equal ones are computed once."""
+ON_LOOP = 1e-9
+"""Distance, in m, from a current loop up to which a point lies on it."""
 PARALLEL = 1e-6
 """Sine below which the direction of the width is parallel to the axis."""
 
@@ -145,7 +147,8 @@ class RoundCoil:
     def field(self, points: FloatArray) -> FloatArray:
         """Compute the flux density per ampere, by magpylib's loops in the coil's own cylinder coordinates.
 
-        Points with the same radius and height, as most of a mesh has by symmetry, are computed once.
+        Points with the same radius and height, as most of a mesh has by symmetry, are computed once. On a current loop
+        its own field is left out, which is zero in the middle of a wire; in a winding the field is that of the loops.
 
         Parameters
         ----------
@@ -164,11 +167,12 @@ class RoundCoil:
         unique, back = np.unique(np.round(np.stack([radius, along]), SAME_DIGITS), axis=1, return_inverse=True)
         total = np.zeros((2, unique.shape[1]))
         for loop_radius, place, share in self.loops():
-            ones = np.ones(unique.shape[1])
+            off = np.hypot(unique[0] - loop_radius, unique[1] - place) > ON_LOOP  # magpylib would never end on it
+            ones = np.ones(np.count_nonzero(off))
             field = current_circle_Hfield(
-                r0=loop_radius * ones, r=unique[0], z=unique[1] - place, i0=MU_0 * self.turns * share * ones
+                r0=loop_radius * ones, r=unique[0, off], z=unique[1, off] - place, i0=MU_0 * self.turns * share * ones
             )
-            total += field[[0, 2]]
+            total[:, off] += field[[0, 2]]
         radial, axial = total[:, back.ravel()]
         unit = across / np.where(radius > 0, radius, 1.0)[:, None]
         return np.asarray(radial[:, None] * unit + axial[:, None] * self.axis)

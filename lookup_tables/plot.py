@@ -68,7 +68,8 @@ def plot_table(table: FieldTable, path: str | os.PathLike[str], z: float | None 
             scale=19, width=0.0075, edgecolor="black", linewidth=0.5,
         )  # fmt: skip
         panel.set_aspect("equal")
-        panel.set_title(f"coil {table.names[coil]}".replace("-", "\N{MINUS SIGN}"), fontsize=13)
+        name = table.names[coil].replace("-", "\N{MINUS SIGN}").replace("$", r"\$")  # no formula
+        panel.set_title(f"coil {name}", fontsize=13)
         if coil % columns == 0:
             panel.set_ylabel("y (mm)")
         if coil + columns >= table.n_coils:

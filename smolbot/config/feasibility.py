@@ -9,6 +9,7 @@ import numpy as np
 from smolbot.config.document import Fault
 from smolbot.config.mission_base import MissionBase
 from smolbot.config.rig import RigConfig
+from smolbot.config.sensor_feasibility import find_saturation_faults, find_sensor_faults
 from smolbot.core.arrays import FloatArray
 from smolbot.core.drive import compute_drive
 from smolbot.core.pose import Pose
@@ -17,10 +18,8 @@ from smolbot.core.sensing import Device
 from smolbot.core.shots import Shot
 from smolbot.errors import ConfigError
 from smolbot.localization.bounds import ListeningWindow, Response
-from smolbot.localization.chain import MEAN_WINDOW
 from smolbot.localization.expected_covariance import compute_expected_covariance
 from smolbot.localization.noise.room import NoiseLevels
-from smolbot.localization.problem import MIN_OUTPUTS
 from smolbot.motion.robot import compute_magnet_inertia
 from smolbot.paths.curve import Curve
 
@@ -30,7 +29,7 @@ UP = np.array([0.0, 0.0, 1.0])
 """Unit vector against gravity, world frame."""
 
 N_PATH_POINTS = 5
-"""Of a path, at which a tolerance is held against the error to be expected."""
+"""Of a path, at which a tolerance is held against the error to be expected, and sensors against their range."""
 
 MIN_AMPLITUDE = 1e-3
 """Least amplitude, in rad, for which an error is computed: a device that no coil drives swings by none."""
@@ -61,7 +60,11 @@ def find_fitness_faults(mission: MissionBase, path: Curve, start: Point, toleran
         *_find_container_faults(mission, path, start),
         *(_find_table_faults(mission, path, start) if mission.robot.kind == "gradient" else ()),
         *_find_limit_faults(mission),
-        *(_find_sensor_faults(mission) or _find_tolerance_faults(mission, path, tolerance)),
+        *(
+            find_sensor_faults(mission)
+            or find_saturation_faults(mission, path.at(np.linspace(0.0, path.length, N_PATH_POINTS)))
+            or _find_tolerance_faults(mission, path, tolerance)
+        ),
     ]
 
 
@@ -77,7 +80,7 @@ def find_listening_faults(mission: MissionBase) -> list[Fault]:
     list of Fault
         Empty if there is none.
     """
-    return [*_find_limit_faults(mission), *_find_sensor_faults(mission)]
+    return [*_find_limit_faults(mission), *find_sensor_faults(mission)]
 
 
 def _find_container_faults(mission: MissionBase, path: Curve, start: Point) -> list[Fault]:
@@ -122,23 +125,6 @@ def _find_table_faults(mission: MissionBase, path: Curve, start: Point) -> list[
 def _find_limit_faults(mission: MissionBase) -> list[Fault]:
     shot = Shot(mission.cycle.windows(mission.robot.device.frequency))
     return [Fault(("cycle",), message) for message in mission.rig.limits.faults(shot)]
-
-
-def _find_sensor_faults(mission: MissionBase) -> list[Fault]:
-    axes, frequency = mission.rig.sensors.axes, mission.robot.device.frequency
-    parallel = np.abs(axes @ axes.T) > np.cos(np.radians(2.0))
-    differences = int(np.sum(np.tril(parallel, -1).any(axis=1)))  # each with an earlier sensor of its direction
-    faults = []
-    if differences < MIN_OUTPUTS:
-        message = f"its {len(axes)} sensors form {differences} same-axis differences; a pose needs {MIN_OUTPUTS}."
-        faults.append(Fault(("rig",), message))
-    least = 2.0 * frequency * MEAN_WINDOW
-    if mission.rig.sample_rate < least:
-        message = (
-            f"it samples at {mission.rig.sample_rate:g} Hz; a device of {frequency:g} Hz needs {least:g} Hz or more."
-        )
-        faults.append(Fault(("rig",), message))
-    return faults
 
 
 def _find_tolerance_faults(mission: MissionBase, path: Curve, tolerance: float) -> list[Fault]:

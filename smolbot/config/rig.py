@@ -13,6 +13,7 @@ from smolbot.config.document import Document, Fault, FileModel, Model, validate
 from smolbot.config.library import open_file
 from smolbot.config.mismatch import MismatchSection
 from smolbot.config.plugins import list_plugins, load_plugin, load_world
+from smolbot.config.rig_geometry import find_geometry_faults
 from smolbot.config.rig_sections import MagnetSection, Range, RigFile
 from smolbot.config.sensors import CalibratedSensors, load_sensors
 from smolbot.core.arrays import FloatArray, freeze
@@ -96,6 +97,12 @@ class RigConfig:
     def sample_rate(self) -> float:
         """Samples per second of each sensor, in Hz."""
         return self.sections.sensors.sample_rate_hz
+
+    @property
+    def sensor_range(self) -> float:
+        """Largest field that a sensor measures, and its converter takes, in T."""
+        section = self.sections.sensors
+        return min(section.range, section.adc_range_v / section.volts_per_tesla)
 
     @cached_property
     def limits(self) -> Limits:
@@ -347,6 +354,8 @@ def load_rig(name: str, settings: dict[str, str] | None = None) -> RigConfig:
     sections, of_file = validate(RigFile, _without_own_section(document))
     known = {fault.key for fault in faults}
     faults += [_of_world(document, fault) for fault in of_file if fault.key not in known] + _find_world_faults(document)
+    if sections is not None and not faults:
+        faults = find_geometry_faults(sections)
     if sections is None or faults:
         raise document.error(faults)
     config = RigConfig(document, sections)

@@ -18,6 +18,7 @@ from smolbot.runs.pictures.style import (
     draw_empty_note,
     draw_limit_line,
     draw_true_way,
+    escape_name,
     format_map_axes,
     open_sheet,
 )
@@ -177,7 +178,7 @@ def draw_currents(axes: Axes, mission: Mission, trace: Trace) -> None:
     starts, _, currents = trace.currents(len(names))
     for index, name in enumerate(names):
         if len(starts):
-            draw_dots(axes, starts, currents[:, index], 2.2, COILS[index % len(COILS)], label=name)
+            draw_dots(axes, starts, currents[:, index], 2.2, COILS[index % len(COILS)], label=escape_name(name))
     axes.set_ylim(0.0 if mission.rig.limits.unipolar else None, mission.rig.limits.max_current * 1.08)
     axes.set_title("Coil currents while actuating, in A", loc="left", fontsize=11)
     axes.set_xlabel("time in s")

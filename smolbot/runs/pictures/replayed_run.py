@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from smolbot.paths.curve import Curve
+from smolbot.runs.pictures.style import escape_name
 from smolbot.runs.trace import Moment, get_located_poses, pair_with_truth
 
 RECORDED, REPLAYED, TRUE = "tab:blue", "tab:orange", "0.3"
@@ -40,7 +41,9 @@ def draw_replay(
         _draw_map(axes["map"], curve, recorded, replayed)
         _draw_errors(axes["error"], recorded, replayed)
         _draw_fits(axes["fit"], recorded, replayed)
-        figure.suptitle(f"Replayed with {changed}" if changed else "Replayed with the same settings", x=0.02, ha="left")
+        figure.suptitle(
+            f"Replayed with {escape_name(changed)}" if changed else "Replayed with the same settings", x=0.02, ha="left"
+        )
         figure.tight_layout()
         figure.savefig(path, dpi=140)
     finally:

@@ -230,3 +230,18 @@ def draw_empty_note(axes: Axes, text: str) -> None:
     text : str
     """
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color="#888888")
+
+
+def escape_name(name: str) -> str:
+    """Protect a name of a user's file from matplotlib, which would read formulas in it, or leave it out of a legend.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    str
+        Text that is drawn as `name`.
+    """
+    return (" " if name.startswith("_") else "") + name.replace("$", r"\$")

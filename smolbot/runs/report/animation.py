@@ -13,7 +13,7 @@ from smolbot.config.observation import Observation
 from smolbot.core.arrays import FloatArray
 from smolbot.core.shots import Actuate, Excite, MoveMagnet, Rotate, Window
 from smolbot.errors import InputError, report_write_errors
-from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE
+from smolbot.runs.pictures.style import LOCATED, PLANNED, TRUE, escape_name
 from smolbot.runs.report.interpolated_track import InterpolatedTrack, collect_true_way
 from smolbot.runs.report.recorded_flight import RecordedFlight
 from smolbot.runs.report.svg import FAINT, GRID, INK, apply_page_style
@@ -234,7 +234,7 @@ class AnimationScene:
         axes.grid()
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 0.995), ncol=3, fontsize=8.5)
         self._drawn = bars.bar(range(len(self._names)), [0.0] * len(self._names), color=TRUE, width=0.7)
-        bars.set_xticks(range(len(self._names)), self._names, fontsize=8.5)
+        bars.set_xticks(range(len(self._names)), [escape_name(n) for n in self._names], fontsize=8.5)
         low = 0.0 if flight.mission.rig.limits.unipolar or not flight.mission.rig.coil_names else -self._limit
         bars.set_ylim(low, self._limit)
         bars.set_title("turns so far" if flight.is_helical else "current, A", fontsize=9)

@@ -9,7 +9,7 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import report_write_errors
-from smolbot.runs.pictures.style import COILS, PLANNED, draw_dots, draw_empty_note
+from smolbot.runs.pictures.style import COILS, PLANNED, draw_dots, draw_empty_note, escape_name
 from smolbot.runs.report.comparison import Comparison, compute_series
 from smolbot.runs.report.figures_of_merit import append_unit, format_number, get_unit
 from smolbot.runs.report.intervals import METHOD, Estimate
@@ -181,7 +181,7 @@ def _draw_intervals(found: Comparison, shown: list[Any]) -> Figure:
             color = COLORS[row % len(COLORS)]
             axes.plot([estimate.low, estimate.high], [row, row], color=color, lw=3, alpha=0.5, solid_capstyle="butt")
             axes.plot(estimate.value, row, "o", color=color, ms=7)
-        axes.set_yticks(range(n), found.labels)
+        axes.set_yticks(range(n), [escape_name(label) for label in found.labels])
         axes.set_ylim(n - 0.5, -0.5)
         axes.set_xlim(left=0.0)
         axes.set_title(f"{one.name.capitalize()}, in {get_unit(one.key)}")
@@ -202,7 +202,7 @@ def _draw_paths(found: Comparison) -> Figure:
             tracked = [c.tracked for c in flight.run.cycles if c.tracked is not None]
             places = np.array([p.position for p in tracked]).reshape(-1, 3)
         color = COLORS[index % len(COLORS)]
-        axes.plot(1e3 * places[:, 0], 1e3 * places[:, 1], color=color, lw=1.5, label=label, zorder=3)
+        axes.plot(1e3 * places[:, 0], 1e3 * places[:, 1], color=color, lw=1.5, label=escape_name(label), zorder=3)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.05)
     axes.set_xlabel("x in mm")
@@ -269,4 +269,4 @@ def _draw_error_curve(
     which = np.digitize(place, edges) - 1
     known = [i for i in range(_N_AVERAGES) if np.any(which == i)]
     means = [float(value[which == i].mean()) for i in known]
-    axes.plot(0.5 * (edges[:-1] + edges[1:])[known], means, color=color, lw=1.8, label=label)
+    axes.plot(0.5 * (edges[:-1] + edges[1:])[known], means, color=color, lw=1.8, label=escape_name(label))

@@ -9,7 +9,7 @@ import numpy as np
 
 from smolbot.core.shots import Actuate, Excite, Listen, MoveMagnet, Rest, RingDown, Rotate, Shot, Window
 from smolbot.runs.pictures.gradient_run import draw_currents
-from smolbot.runs.pictures.style import COILS, LOCATED, PLANNED, TRUE, draw_dots, draw_empty_note
+from smolbot.runs.pictures.style import COILS, LOCATED, PLANNED, TRUE, draw_dots, draw_empty_note, escape_name
 from smolbot.runs.report.coil_load import CoilLoad
 from smolbot.runs.report.recorded_flight import RecordedFlight
 from smolbot.runs.report.svg import FAINT, INK, make_wide_figure
@@ -59,7 +59,7 @@ def draw_coils_figure(flight: RecordedFlight, strain: CoilLoad) -> Figure:
     for i, name in enumerate(strain.names):
         color = COILS[i % len(COILS)]
         style = "--" if name.startswith("excitation") else "-"
-        duty.plot(strain.time, 100.0 * strain.duty[:, i], color=color, lw=1.2, ls=style, label=name)
+        duty.plot(strain.time, 100.0 * strain.duty[:, i], color=color, lw=1.2, ls=style, label=escape_name(name))
         heat.plot(strain.time, strain.temperature[:, i], color=color, lw=1.2, ls=style)
     duty.set_title(f"Duty: share of the last {strain.window:g} s in which a coil is driven, in %")
     _draw_limit(duty, 100.0 * strain.max_duty, f"limit {100 * strain.max_duty:g} %")
@@ -67,7 +67,7 @@ def draw_coils_figure(flight: RecordedFlight, strain: CoilLoad) -> Figure:
     duty.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=6, borderaxespad=0.0)
     limits = sorted({limit for limit in strain.limits if limit is not None})
     for limit in limits:
-        those = [name for name, own in zip(strain.names, strain.limits, strict=True) if own == limit]
+        those = [escape_name(name) for name, own in zip(strain.names, strain.limits, strict=True) if own == limit]
         _draw_limit(heat, limit, f"limit {limit:g} °C{'' if len(limits) == 1 else ' of ' + ', '.join(those)}")
     if limits:
         heat.set_ylim(top=1.06 * max(limits))
