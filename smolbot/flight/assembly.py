@@ -26,6 +26,7 @@ from smolbot.flight.safety.sensor_monitor import SensorMonitor
 from smolbot.flight.safety.stop_latch import Latch
 from smolbot.flight.safety.supervisor import Safety, SafetyRules
 from smolbot.flight.scheduler import Scheduler
+from smolbot.flight.tracking.multiple_models import MultipleModelTracker
 from smolbot.flight.tracking.passive_trackers import SingleShotTracker, VelocityTracker
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.localization.array.filter import ArrayFilter, ArrayPrior, compute_tilt_frames
@@ -211,7 +212,7 @@ def _make_steering_parts(mission: Mission, controller: Controller | None = None)
         with report_plugin_errors("Controller", make, ""):
             return tracker, Follower(mission.path, controller or make(screwed, mission.gains))
     setup = mission.setup()
-    tracker = Tracker(setup.robot, setup.device, setup.table)
+    tracker = MultipleModelTracker(setup.robot, setup.device, setup.table)
     with report_plugin_errors("Controller", make, ""):
         return tracker, Follower(mission.path, controller or make(setup, mission.gains))
 
