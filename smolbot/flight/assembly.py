@@ -32,6 +32,7 @@ from smolbot.flight.safety.supervisor import Safety, SafetyRules
 from smolbot.flight.scheduler import Scheduler
 from smolbot.flight.stall import StallWatch
 from smolbot.flight.tracking.channel_watch import ChannelWatch
+from smolbot.flight.tracking.multiple_models import MultipleModelTracker
 from smolbot.flight.tracking.passive_trackers import SingleShotTracker, VelocityTracker
 from smolbot.flight.tracking.pose_gate import PoseGate
 from smolbot.flight.tracking.tracker import Tracker
@@ -276,7 +277,7 @@ def _make_steering_parts(mission: Mission, controller: Controller | None = None)
         with report_plugin_errors("Controller", make, ""):
             return tracker, Follower(mission.path, controller or make(screwed, mission.gains))
     setup = mission.setup()
-    tracker = Tracker(setup.robot, setup.device, setup.table)
+    tracker = MultipleModelTracker(setup.robot, setup.device, setup.table)
     with report_plugin_errors("Controller", make, ""):
         law = controller or make(setup, mission.gains)
     return tracker, StallWatch(Follower(mission.path, law), mission.path, mission.law, law, setup.limits)
