@@ -55,16 +55,16 @@ def _judge(path: Path) -> Row:
     from smolbot.flight.preview.gradient import preview
     from smolbot.flight.session import fly
 
-    row: Row = {"refused": False, "go": False, "reason": "", "told_s": math.nan, "drawn_share": math.nan, "remedy": ""}
+    row: Row = {"refused": False, "go": False, "reason": "", "told_s": math.nan, "drawn_share": math.nan}
     row |= {"passed": False, "status": "", "ended_by": "", "flown_s": math.nan, "tracking_mm": math.nan}
     try:
         mission = load_mission(str(path))
     except ConfigError as error:
         return row | {"refused": True, "reason": str(error).replace(f"{path.parent}/", "")[:MAX_REASON]}
     try:
-        found = preview(mission)  # type: ignore[arg-type]  # it steers
+        found = preview(mission, seek_remedy=False)  # type: ignore[arg-type]  # it steers
         row |= {"go": found.go, "reason": " ".join(found.reasons)[:MAX_REASON], "told_s": found.duration}
-        row |= {"drawn_share": math.nan if found.worlds is None else found.worlds.share, "remedy": found.remedy}
+        row |= {"drawn_share": math.nan if found.worlds is None else found.worlds.share}
         figures: list[dict[str, Any]] = [fly(mission, seed).summary for seed in range(FLIGHTS)]
     except Exception as error:  # one bad world is one failed row, which names the error
         return row | {"status": "error", "ended_by": f"{type(error).__name__}: {error}"[:MAX_REASON]}

@@ -33,8 +33,8 @@ VISCOSITY_PA_S, TURNAROUND_MS = (0.4, 2.5), (1.0, 20.0)
 
 MOMENT_MA_M2, DRAG_RADIUS_MM, SIZE_FACTOR = (0.4, 1.6), (1.0, 3.0), (0.7, 1.3)
 FREQUENCY_HZ, DAMPING_PER_S, THETA_MAX_DEG = (70.0, 220.0), (1.0, 60.0), (8.0, 30.0)
-STRONG_DAMPING_PER_S = 25.0
-"""Damping above which the envelope is exponential."""
+STRONG_DAMPING_PER_S = 5.0
+"""Damping above which the envelope is exponential: a linear one would end before the listening window does."""
 
 ACROSS_SHARE, UNIPOLAR_SHARE = 0.15, 0.6
 """Share of devices with the moment across the cantilever, and of supplies that cannot reverse."""

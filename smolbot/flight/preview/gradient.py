@@ -13,6 +13,7 @@ from smolbot.core.results import Readable
 from smolbot.core.shots import Actuate, Shot
 from smolbot.errors import report_plugin_errors
 from smolbot.flight.preview.drawn_worlds import DrawnWorlds, fly_drawn_worlds
+from smolbot.flight.preview.pose_trust import find_pose_faults
 from smolbot.flight.preview.remedies import find_remedy
 from smolbot.flight.preview.rollout import Outcome, Rollout, RolloutParts
 from smolbot.motion.controller import ForceForecast, ForceProfile
@@ -95,13 +96,15 @@ class Preview(Readable):
         return not self.reasons
 
 
-def preview(mission: Mission) -> Preview:
+def preview(mission: Mission, *, seek_remedy: bool = True) -> Preview:
     """Time a mission and simulate it on the controller's own model, with the pose errors to be expected.
 
     Parameters
     ----------
     mission : Mission
         With a robot that is moved by gradient forces.
+    seek_remedy : bool
+        Whether to seek what would mend a mission that would not end, which takes some rollouts more.
 
     Returns
     -------
@@ -113,10 +116,15 @@ def preview(mission: Mission) -> Preview:
     expected = parts.errors.expected
     covariances = expected.compute_covariances(0.5 * found.cycles)
     mean_error = compute_mean_distance(covariances)
-    reasons = [found.reason] if found.reason else _find_error_faults(mission, mean_error)
-    worlds = None if reasons else fly_drawn_worlds(parts)
-    if worlds is not None and not worlds.suffices:
-        reasons.append(worlds.describe_failures())
+    reasons, worlds = [found.reason] if found.reason else [], None
+    remedy = find_remedy(mission, late=found.late) if reasons and seek_remedy else ""
+    if not reasons:
+        reasons = find_pose_faults(mission, parts.errors) or _find_error_faults(mission, mean_error)
+    if not reasons:
+        worlds = fly_drawn_worlds(parts)
+        if not worlds.suffices:
+            reasons = [worlds.describe_failures()]
+            remedy = find_remedy(mission, late=worlds.late, failed=worlds.failed) if seek_remedy else ""
     duration, path_time, energy = _compute_means(found, worlds)
     cycling = found.duration - mission.sections.localization.background_noise_duration
     played = cycling - found.cycles * mission.rig.turnaround
@@ -143,7 +151,7 @@ def preview(mission: Mission) -> Preview:
         mean_localization_error=mean_error,
         coil_energy=energy,
         worlds=worlds,
-        remedy=find_remedy(mission) if reasons else "",
+        remedy=remedy,
         reasons=reasons,
     )
 

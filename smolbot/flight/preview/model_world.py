@@ -69,6 +69,10 @@ class PoseErrors:
     Attributes
     ----------
     points : ndarray, shape (n, 2), in m, world frame
+    orientations : list of ndarray, shape (4,)
+        Of a robot that heads along the path there.
+    amplitudes : ndarray, shape (n,), in rad
+        Of its device at the end of the excitation.
     expected : ExpectedErrors
         At these points.
     noise, bias : ndarray, shape (n, 6, 6)
@@ -76,6 +80,8 @@ class PoseErrors:
     """
 
     points: FloatArray
+    orientations: list[FloatArray]
+    amplitudes: FloatArray
     expected: ExpectedErrors
     noise: FloatArray
     bias: FloatArray
@@ -96,7 +102,7 @@ class PoseErrors:
         states = compute_states_along(mission, mission.path, arc)
         expected = ExpectedErrors.expect(mission, *states)
         bias = expected.compute_sensor_part(LEARNED_RECORDINGS)
-        return cls(states[0][:, :2], expected, _factorise(expected.noise), _factorise(bias))
+        return cls(states[0][:, :2], states[1], states[2], expected, _factorise(expected.noise), _factorise(bias))
 
     def find_nearest(self, position: FloatArray) -> int:
         """Find the point nearest to a position.

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from smolbot.config.mission import Mission
 from smolbot.config.plugins import list_plugins, load_plugin
 from smolbot.errors import SmolbotError
-from smolbot.flight.preview.drawn_worlds import fly_drawn_worlds
+from smolbot.flight.preview.drawn_worlds import fly_chosen_worlds
 from smolbot.flight.preview.rollout import Rollout, RolloutParts
 from smolbot.motion.controller import robot_kinds
 
 TRIED_WORLDS = 4
-"""Number of drawn worlds in which a remedy must help: all of them."""
+"""Number of drawn worlds in which a remedy must help, all of them: those that fail without it, if they are known."""
 
 LIMIT_FACTORS = (1.5, 3.0)
 """Factors on the time limit that are tried."""
@@ -32,31 +32,37 @@ TAIL_FIRST = "tail_first"
 Settings = Mapping[str, str | float]
 
 
-def find_remedy(mission: Mission) -> str:
+def find_remedy(mission: Mission, *, late: bool, failed: Sequence[int] = ()) -> str:
     """Find a change with which a mission would end in the controller's model, in its own world and in drawn ones.
 
     Parameters
     ----------
     mission : Mission
         One that would not end, with a robot that is moved by gradient forces.
+    late : bool
+        Whether the time limit ends it: no longer one helps a robot that stalls.
+    failed : sequence of int
+        Numbers of the drawn worlds in which it fails, where it ends in its own.
 
     Returns
     -------
     str
         The change, as settings of a command; empty if none of those that were tried helps.
     """
-    for settings in _list_changes(mission):
-        found = _try_change(mission, settings)
+    worlds = [*failed, *(number for number in range(TRIED_WORLDS) if number not in failed)][:TRIED_WORLDS]
+    for settings in _list_changes(mission, late=late):
+        found = _try_change(mission, settings, worlds)
         if found:
             return found
     return ""
 
 
-def _list_changes(mission: Mission) -> Iterator[Settings]:
+def _list_changes(mission: Mission, *, late: bool) -> Iterator[Settings]:
     """List changes, those that cost least first."""
     limit, current = mission.sections.stop.max_duration_s, mission.rig.limits.max_current
     law = load_plugin("controllers", mission.law)
-    yield from ({"stop.max_duration_s": factor * limit} for factor in LIMIT_FACTORS)
+    if late:
+        yield from ({"stop.max_duration_s": factor * limit} for factor in LIMIT_FACTORS)
     if TAIL_FIRST in law.gains and mission.gains.get(TAIL_FIRST, law.gains[TAIL_FIRST].default) < 1.0:
         yield {f"controller.gains.{TAIL_FIRST}": 1.0}
     for name in list_plugins("controllers"):
@@ -65,14 +71,14 @@ def _list_changes(mission: Mission) -> Iterator[Settings]:
     yield from ({"rig.limits.max_current_a": factor * current} for factor in CURRENT_FACTORS)
 
 
-def _try_change(mission: Mission, settings: Settings) -> str:
+def _try_change(mission: Mission, settings: Settings, numbers: Sequence[int]) -> str:
     """Return a change as settings of a command if the mission ends with it; else an empty text."""
     try:
         parts = RolloutParts.prepare(change_mission(mission, settings))
         alone = Rollout(parts).fly()
         if alone.reason:
             return ""
-        worlds = fly_drawn_worlds(parts, TRIED_WORLDS, TRIED_WORLDS)
+        worlds = fly_chosen_worlds(parts, numbers)
     except SmolbotError:  # such as a law that cannot drive these coils: no remedy
         return ""
     if worlds.ended < worlds.flown:

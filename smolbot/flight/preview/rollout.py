@@ -87,6 +87,8 @@ class Outcome:
     ----------
     reason : str
         Why the path's end is not reached; empty if it is.
+    late : bool
+        Whether that is the time limit.
     duration, path_time : float, in s
         In all, with the learning phase; from the path's start on.
     learned_at : float, in s
@@ -97,6 +99,8 @@ class Outcome:
     trail : ndarray, shape (n, 3), in m, world frame
     first_on_path : int
         Index in `trail` of the first position after the path's start was reached.
+    pose_errors : ndarray, shape (n,), in m
+        Distance of each located pose from the robot.
     done : float, in m
         Arc length that was covered.
     shots : list of Shot
@@ -106,6 +110,7 @@ class Outcome:
     """
 
     reason: str
+    late: bool
     duration: float
     path_time: float
     learned_at: float
@@ -113,6 +118,7 @@ class Outcome:
     energy: float
     trail: FloatArray
     first_on_path: int
+    pose_errors: FloatArray
     done: float
     shots: list[Shot] = field(repr=False)
     peaks: list[float] = field(repr=False)
@@ -162,6 +168,7 @@ class Rollout:
         )
         self._learned = parts.cycle
         self._stall = StallMonitor(mission.path)
+        self._pose_errors: list[float] = []
 
     def fly(self) -> Outcome:
         """Run cycles until the path's end, or until something ends the flight.
@@ -199,6 +206,7 @@ class Rollout:
         resistances = self.mission.rig.coil_resistances
         return Outcome(
             reason=reason or "",
+            late=reason is not None and self.clock - begun > limit,
             duration=self.clock,
             path_time=self.clock - path_begun,
             learned_at=begun,
@@ -206,6 +214,7 @@ class Rollout:
             energy=compute_heat(shots, resistances),
             trail=np.array(trail),
             first_on_path=first,
+            pose_errors=np.array(self._pose_errors),
             done=max(self._stall.arc_length, command.progress),
             shots=shots,
             peaks=list(self._safety.heat.peaks),
@@ -230,6 +239,8 @@ class Rollout:
         assert shot.listen is not None
         pose = self.world.locate(self.clock + at + 0.5 * shot.listen.duration)
         self._tracker.update(shot, pose)
+        if pose is not None:
+            self._pose_errors.append(float(np.linalg.norm(pose.position - self.world.position)))
         self.clock += shot.duration + self._turnaround
 
     def _describe_edge(self) -> str:
