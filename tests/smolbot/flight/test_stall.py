@@ -82,7 +82,7 @@ def test_a_path_that_is_to_be_followed_slowly_gives_more_time():
 @pytest.fixture
 def no_remedies(monkeypatch):
     """Remedies have tests of their own, and take far longer than what is tested here."""
-    monkeypatch.setattr("smolbot.flight.preview.gradient.find_remedy", lambda *_: "")
+    monkeypatch.setattr("smolbot.flight.preview.gradient.find_remedy", lambda *_, **__: "")
 
 
 def test_a_flight_that_gets_nowhere_ends_stuck_with_the_reason_that_the_preview_gives(no_remedies):
