@@ -41,7 +41,7 @@ from smolbot.localization.array.terms import DEVIATIONS_OF_DEVICE
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.estimator import PoseEstimator
 from smolbot.localization.synthetic import SyntheticPoseRig
-from smolbot.motion.controller import Controller
+from smolbot.motion.controller import Controller, Setup
 from smolbot.runs.run import Listener, RecorderSink
 
 TYPICAL_TOLERANCES = np.array([5e-3, 5e-3, 5e-3, 2e-4, 2e-4, 2e-4])
@@ -277,10 +277,24 @@ def _make_steering_parts(mission: Mission, controller: Controller | None = None)
         with report_plugin_errors("Controller", make, ""):
             return tracker, Follower(mission.path, controller or make(screwed, mission.gains))
     setup = mission.setup()
-    tracker = MultipleModelTracker(setup.robot, setup.device, setup.table)
+    tracker = make_steering_tracker(setup)
     with report_plugin_errors("Controller", make, ""):
         law = controller or make(setup, mission.gains)
     return tracker, StallWatch(Follower(mission.path, law), mission.path, mission.law, law, setup.limits)
+
+
+def make_steering_tracker(setup: Setup) -> Tracker:
+    """Make the tracker of a flight that gradient forces steer.
+
+    Parameters
+    ----------
+    setup : Setup
+
+    Returns
+    -------
+    Tracker
+    """
+    return MultipleModelTracker(setup.robot, setup.device, setup.table)
 
 
 def _make_watching_parts(mission: Observation) -> tuple[Tracker, Pilot]:

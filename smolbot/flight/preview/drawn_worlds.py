@@ -31,7 +31,8 @@ FIRST_WORLDS = 6
 """Number of worlds that suffice where each ends with room to spare: at a true share of 0.7, one time in nine."""
 
 ROOM_TO_SPARE = 0.8
-"""Share of the time limit, and of the verdict's tracking error, within which a world ends with room to spare."""
+"""Share of the time limit, of the verdict's errors and of a coil's rise to its highest temperature within which a world
+ends with room to spare."""
 
 MIN_SHARE = 0.95
 """Share of the worlds that must end for a go: of twenty flights, a lab may have to repeat one."""
@@ -210,7 +211,8 @@ def _fly_one(parts: RolloutParts, number: int) -> _Flown:
     tracking = float(np.mean(mission.path.project(on_path)[1])) if len(on_path) else math.nan
     localization = float(np.mean(outcome.pose_errors)) if len(outcome.pose_errors) else math.nan
     verdict, limit = mission.sections.verdict, mission.sections.stop.max_duration_s
-    reason, easily = outcome.reason, outcome.duration - outcome.learned_at <= ROOM_TO_SPARE * limit
+    reason = outcome.reason
+    easily = outcome.duration - outcome.learned_at <= ROOM_TO_SPARE * limit and _stays_cool(mission, outcome)
     for name, error, most in (
         ("tracking", 1e3 * tracking, verdict.mean_tracking_mm),
         ("localization", 1e3 * localization, verdict.mean_localization_mm),
@@ -219,6 +221,13 @@ def _fly_one(parts: RolloutParts, number: int) -> _Flown:
             reason = reason or f"its mean {name} error would be {error:.2f} mm, above mean_{name}_mm = {most:g}."
         easily = easily and (most is None or error <= ROOM_TO_SPARE * most)
     return _Flown(outcome, tracking, localization, reason, easily and not reason)
+
+
+def _stays_cool(mission: Mission, outcome: Outcome) -> bool:
+    """Return whether every coil whose heat is known stays well below its highest temperature."""
+    ambient = mission.rig.sections.safety.ambient_c
+    coils = zip(mission.rig.thermal, outcome.peaks, strict=True)
+    return all(coil is None or peak - ambient <= ROOM_TO_SPARE * (coil.limit - ambient) for coil, peak in coils)
 
 
 def _summarize(flown: Sequence[_Flown], failed: Sequence[str]) -> DrawnWorlds:

@@ -71,7 +71,7 @@ def select_rows(found_preview: dict[str, Any]) -> list[tuple[str, str]]:
     add("path", "path_length_mm", "{:.1f} mm")
     add("expected to take", "expected_duration_s", "{:.0f} s")
     add("loop rate", "loop_rate_hz", "{:.1f} Hz")
-    add("force", "force_un", "{:.0f} µN")
+    add("force", "force_un", "{:.3g} µN")
     add("error of a pose", "localization_error_mm", "{:.2f} mm")
     add("pauses", "pauses", "{:d}")
     add("torque to spare", "torque_margin", "{:.2f}")

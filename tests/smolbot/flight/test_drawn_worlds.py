@@ -80,6 +80,17 @@ def test_a_remedy_helps_in_the_worlds_that_failed_without_it(tight, seen):
     assert found.ended == found.flown == 3
 
 
+def test_coils_that_come_close_to_their_limit_leave_a_doubt_that_more_worlds_are_flown_for(parts, monkeypatch):
+    hottest = max(Rollout(parts).fly().peaks)
+    ambient = parts.mission.rig.sections.safety.ambient_c
+    room = (hottest - ambient) / drawn_worlds.ROOM_TO_SPARE
+    safety = {"rig.safety.coils.max_temperature_c": ambient + 0.98 * room}
+    close = change_mission(parts.mission, safety)
+    monkeypatch.setattr(drawn_worlds, "WORLDS", drawn_worlds.FIRST_WORLDS + 1)
+    found = fly_drawn_worlds(replace(parts, mission=close))
+    assert found.flown == drawn_worlds.FIRST_WORLDS + 1
+
+
 def test_errors_that_break_the_verdict_fail_a_world_too(parts):
     strict = change_mission(parts.mission, {"verdict.mean_localization_mm": 0.2})
     found = fly_chosen_worlds(replace(parts, mission=strict), [0])
