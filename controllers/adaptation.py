@@ -40,6 +40,7 @@ class Adaptation:
         self._x = np.array([1.0, 0.0, 0.0])
         self._p = np.diag(INITIAL_STD**2)
         self.agility = 1.0
+        self._adopted = False
         self._turn_variance = INITIAL_TURN_STD**2
 
     @property
@@ -51,6 +52,17 @@ class Adaptation:
     def drift(self) -> FloatArray:
         """Drift velocity (2,), in m/s."""
         return self._x[1:].copy()
+
+    def adopt(self, drift: FloatArray) -> None:
+        """Take over the drift from the tracker, and stop learning: mobility and agility are 1 from then on.
+
+        Parameters
+        ----------
+        drift : ndarray, shape (2,), in m/s
+        """
+        self._x[0], self._x[1:] = 1.0, drift
+        self.agility = 1.0
+        self._adopted = True
 
     def learn(
         self, measured: FloatArray, predicted: FloatArray, measured_turn: float, predicted_turn: float, duration: float
@@ -75,6 +87,8 @@ class Adaptation:
         bool
             False for an outlier, which the window cannot have caused.
         """
+        if self._adopted:
+            return True
         noise = POSE_NOISE**2 + (MODEL_NOISE**2) * float(predicted @ predicted)
         if not _update(self._x, self._p, measured, predicted, duration, noise):
             return False

@@ -143,6 +143,7 @@ class Predictive:
         self._progress: PathProgress | None = None
         self._pace: Pace | None = None
         self._adaptation = Adaptation()
+        self._coil_gains: FloatArray | None = None
         self._planned: _Plan | None = None
         self._hurry = 1.0
         self._warm_up()
@@ -222,6 +223,19 @@ class Predictive:
         window = Actuate(tuple(sent), duration)
         return Command(window, saturated, note, progress=progress.progress, phase=phase)
 
+    def adopt_motion(self, gains: FloatArray, drift: FloatArray) -> None:
+        """Take over gains of the coils and drift from the tracker; the law learns neither by itself from then on.
+
+        Parameters
+        ----------
+        gains : ndarray, shape (n_coils,)
+            Factors on the coils' currents.
+        drift : ndarray, shape (3,), in m/s
+            World frame.
+        """
+        self._coil_gains = gains
+        self._adaptation.adopt(drift[:2])
+
     def unplayed(self) -> None:
         """Discard the last plan: it was not played, so there is nothing to learn from it."""
         self._planned = None
@@ -280,6 +294,8 @@ class Predictive:
         origin = at[:2]
         b = np.ascontiguousarray(field[:, 0, :2])
         g = np.ascontiguousarray(gradient[:, 0, :2, :2])
+        if self._coil_gains is not None:
+            b, g = b * self._coil_gains[:, None], g * self._coil_gains[:, None, None]
         # 2. The leg, and whether to plan a second window: in turns, before a corner, and after idle plans
         points, arc, first, last, guess, headings = self._make_route(pose, heading, progress)
         index = min(int((guess - float(arc[first])) / HEADING_SPACING), len(headings) - 2)

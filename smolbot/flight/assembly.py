@@ -30,6 +30,7 @@ from smolbot.flight.safety.stop_latch import Latch
 from smolbot.flight.safety.supervisor import Safety, SafetyRules
 from smolbot.flight.scheduler import Scheduler
 from smolbot.flight.stall import StallWatch
+from smolbot.flight.tracking.multiple_models import MultipleModelTracker
 from smolbot.flight.tracking.passive_trackers import SingleShotTracker, VelocityTracker
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.localization.array.filter import ArrayFilter, ArrayPrior, compute_tilt_frames
@@ -37,7 +38,7 @@ from smolbot.localization.array.terms import DEVIATIONS_OF_DEVICE
 from smolbot.localization.cold_start import SearchVolume
 from smolbot.localization.estimator import PoseEstimator
 from smolbot.localization.synthetic import SyntheticPoseRig
-from smolbot.motion.controller import Controller
+from smolbot.motion.controller import Controller, Setup
 from smolbot.runs.run import Listener, RecorderSink
 
 
@@ -227,10 +228,24 @@ def _make_steering_parts(mission: Mission, controller: Controller | None = None)
         with report_plugin_errors("Controller", make, ""):
             return tracker, Follower(mission.path, controller or make(screwed, mission.gains))
     setup = mission.setup()
-    tracker = Tracker(setup.robot, setup.device, setup.table)
+    tracker = make_steering_tracker(setup)
     with report_plugin_errors("Controller", make, ""):
         law = controller or make(setup, mission.gains)
     return tracker, StallWatch(Follower(mission.path, law), mission.path, mission.law, law, setup.limits)
+
+
+def make_steering_tracker(setup: Setup) -> Tracker:
+    """Make the tracker of a flight that gradient forces steer.
+
+    Parameters
+    ----------
+    setup : Setup
+
+    Returns
+    -------
+    Tracker
+    """
+    return MultipleModelTracker(setup.robot, setup.device, setup.table)
 
 
 def _make_watching_parts(mission: Observation) -> tuple[Tracker, Pilot]:

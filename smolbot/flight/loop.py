@@ -345,7 +345,10 @@ class Loop:
                 raise PluginError(f"Estimator {estimator}: locate() must return a Pose; got {pose!r}.")
             if pose is not None and pose.trusted and not np.isfinite(pose.covariance).all():
                 pose, self._miss = replace(pose, trusted=False), "the covariance of the pose is not finite"
+        doubted = self.tracker.learned
         tracked = self.tracker.update(shot, pose, swing)
+        if self.tracker.learned and not doubted:
+            self._record_motion_model(shot.end)
         if self.tracker.misses == 0:
             self._miss = ""
         if self.array_filter is not None and self.tracker.motion is not None:
@@ -367,6 +370,13 @@ class Loop:
         done = self._clock()
         status = self.rig.status_line if isinstance(self.rig, StatusReporter) else ""
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - received), ended, status)
+
+    def _record_motion_model(self, time: float) -> None:
+        """Record that the assumed motion model was given up, and what was learned instead."""
+        gains, drift = (
+            [round(float(v), 4) for v in values] for values in (self.tracker.gains, 1e3 * self.tracker.drift)
+        )
+        self._record_event(time, "motion model doubted", {"coil_gains": gains, "drift_mm_s": drift})
 
     def _learn_array(self, time: float, learned: ArrayFilter, pose: Pose, swing: Oscillation) -> None:
         """Update the sensor errors and, if they have changed enough, replace the localizer's sensor array."""

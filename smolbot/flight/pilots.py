@@ -10,7 +10,7 @@ from smolbot.core.shots import Actuate, Mechanical, Rotate, Shot
 from smolbot.errors import PluginError, report_plugin_errors
 from smolbot.flight.tracking.passive_trackers import SingleShotTracker
 from smolbot.flight.tracking.tracker import Tracker
-from smolbot.motion.controller import Command, Controller, PlaybackAware
+from smolbot.motion.controller import Command, Controller, MotionAware, PlaybackAware
 from smolbot.paths.curve import Curve
 
 
@@ -86,6 +86,9 @@ class Follower:
         if unplayed and isinstance(self.controller, PlaybackAware):
             with report_plugin_errors("Controller", self.controller, "unplayed"):
                 self.controller.unplayed()
+        if tracker.learned and isinstance(self.controller, MotionAware):
+            with report_plugin_errors("Controller", self.controller, "adopt_motion"):
+                self.controller.adopt_motion(tracker.gains, tracker.drift)
         with report_plugin_errors("Controller", self.controller, "command"):
             command = self._sent = check_command(self.controller.command(pose), self.controller)
         self._waiting = command if command.mechanical else None

@@ -3,7 +3,7 @@
 Near the true pose, whitened data are s + J dx + D q + n, with x pose, phase and amplitude, q the deviations of sensors
 and device from the assumed ones, and n white noise. A fit takes part of D q for a change of the pose,
 
-    dx = S q,   S = -(J^T J)^-1 J^T D,
+    dx = S q,   S = (J^T J)^-1 J^T D,
 
 and what no pose explains is information on q: D^T D - D^T J (J^T J)^-1 J^T D from every recording.
 """
@@ -56,7 +56,7 @@ def compute_sensor_terms(
         scaled = jacobian * scale[:, None, :]
         mixed = np.swapaxes(scaled, 1, 2) @ deviated
         shift = np.linalg.solve(np.swapaxes(scaled, 1, 2) @ scaled, mixed)
-        sensitivity.append(-(shift * scale[:, :, None])[:, :6])
+        sensitivity.append((shift * scale[:, :, None])[:, :6])
         information.append(np.mean(np.swapaxes(deviated, 1, 2) @ deviated - np.swapaxes(mixed, 1, 2) @ shift, axis=0))
     return np.mean(sensitivity, axis=0), np.mean(information, axis=0)
 

@@ -216,7 +216,7 @@ class Controller(Protocol):
     """Protocol of controllers. One is made per mission, from a setup and its gains.
 
     A controller may also implement the protocols below, all of which are optional: `RobotKinds`, `ForceForecast`,
-    `BendForecast`, `PlaybackAware`.
+    `BendForecast`, `PlaybackAware`, `MotionAware`.
 
     Parameters
     ----------
@@ -328,6 +328,25 @@ class PlaybackAware(Protocol):
 
     def unplayed(self) -> None:
         """Discard the last command: it was not played, since the loop was paused or had lost the signal."""
+
+
+@runtime_checkable
+class MotionAware(Protocol):
+    """A controller of a gradient-pulled robot that uses what the tracker has learned of the robot's motion."""
+
+    def adopt_motion(self, gains: FloatArray, drift: FloatArray) -> None:
+        """Take over what the tracker has learned, before the next command.
+
+        It is called once the tracker no longer trusts the motion model of the files, and then before every command.
+
+        Parameters
+        ----------
+        gains : ndarray, shape (n_coils,)
+            Factors on the coils' currents with which the setup's robot moves as it truly does: all 2 for half the
+            drag, one of them 0 for a coil that carries no current.
+        drift : ndarray, shape (3,), in m/s
+            Steady velocity, world frame, that no current causes, such as that of a liquid that flows.
+        """
 
 
 def robot_kinds(law: type[Controller]) -> tuple[str, ...]:

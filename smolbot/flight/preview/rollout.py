@@ -13,7 +13,7 @@ from smolbot.config.plugins import load_plugin
 from smolbot.core.arrays import FloatArray
 from smolbot.core.shots import Actuate, Listen, Shot
 from smolbot.errors import SafetyError, report_plugin_errors
-from smolbot.flight.assembly import make_safety
+from smolbot.flight.assembly import make_safety, make_steering_tracker
 from smolbot.flight.device_belief import DeviceBelief
 from smolbot.flight.pilots import Follower
 from smolbot.flight.preparation import expect_ring_down, lengthen_ring_down
@@ -165,7 +165,8 @@ class Rollout:
         self.clock = 0.0
         self.world = ModelWorld(mission, setup, parts.errors, perturbation or Perturbation(), seed)
         self._turnaround = mission.rig.turnaround
-        self._tracker = Tracker(setup.robot, setup.device, setup.table)
+        flows = mission.rig.sections.medium.flow > 0.0  # only then does the motion differ enough to be learned
+        self._tracker = make_steering_tracker(setup) if flows else Tracker(setup.robot, setup.device, setup.table)
         self._follower = Follower(mission.path, self.controller)
         self._safety = make_safety(mission.rig, mission)
         HeatMemory.from_rig_name(mission.rig.name).restore(self._safety.heat)  # a simulated rig has none

@@ -113,7 +113,7 @@ class VelocityTracker(Tracker):
         self.motion = ahead.position - state.position, turned, noise[:6] + path
         self._state = replace(ahead, time=time, covariance=ahead.covariance + np.diag(noise))
 
-    def _update_rates(self, change: FloatArray) -> None:
+    def _update_further_states(self, change: FloatArray) -> None:
         assert self._state is not None
         self._state = replace(self._state, turn_rate=self._state.turn_rate + change[_W])
 

@@ -146,6 +146,7 @@ class Tracker:
         self._innovation_scale = 1.0
         self._embedded = isinstance(robot, Helix)
         self._last: Pose | None = None
+        self._innovation: tuple[float, FloatArray] | None = None
         self.motion: tuple[FloatArray, FloatArray, FloatArray] | None = None
         self.misses = 0
 
@@ -178,6 +179,33 @@ class Tracker:
     def drift(self) -> FloatArray:
         """Steady velocity (3,), in m/s, in the world frame, that is not caused by windows."""
         return np.zeros(3) if self._state is None else self._state.drift.copy()
+
+    @property
+    def learned(self) -> bool:
+        """Whether gains and drift are learned in flight, since the assumed ones do not hold."""
+        return False
+
+    @property
+    def gains(self) -> FloatArray:
+        """Factors (n_coils,) on the currents with which the assumed robot would move as the true one does."""
+        return np.ones(0 if self._table is None else self._table.n_coils)
+
+    def compute_log_likelihood(self) -> float:
+        """Compute the log-likelihood of the pose of the last update before it was used.
+
+            l = -(d^2 + ln |S|) / 2
+
+        with its squared Mahalanobis distance d^2 and the covariance S of the innovation.
+
+        Returns
+        -------
+        float
+            Up to a constant; nan if the last update had no trusted pose to compare.
+        """
+        if self._innovation is None:
+            return math.nan
+        distance, covariance = self._innovation
+        return -0.5 * (distance + float(np.linalg.slogdet(covariance)[1]))
 
     def pose_at(self, time: float) -> Pose:
         """Predict the tracked pose at a time, with nothing driven in between.
@@ -221,6 +249,7 @@ class Tracker:
             The tracked pose at the pose's time (or the shot's end), None before the first pose.
             A shot without a listening window moves the robot, but does not count as a miss.
         """
+        self._innovation = None
         if shot.listen is None:
             if self._state is not None and self._last is not None:
                 self._predict(shot, shot.end)
@@ -283,33 +312,54 @@ class Tracker:
         noise[:6] = PROCESS_NOISE_DENSITY**2 * wait
         noise[_V] = DRIFT_NOISE_DENSITY**2 * wait
         for window in shot.windows:
-            if not isinstance(window, Actuate) or not any(window.currents):
-                continue
-            if self._table is None or self._robot is None:
-                continue
-            try:
-                field, gradient = self._table.field_and_gradient(position[None, :])
-            except OutsideTableError:
-                continue
-            ahead = matrix_from_quaternion(orientation) @ self._device.moment_in_body
-            heading = math.atan2(ahead[1], ahead[0])
-            currents = np.array(window.currents)
-            step, after = advance(self._robot, field[:, 0], gradient[:, 0], currents, heading, window.duration)
-            turn = after - heading
-            position[:2] += step
-            orientation = multiply_quaternions(quaternion_from_rotation_vector(np.array([0.0, 0.0, turn])), orientation)
-            noise[:2] += MOTION_ERROR_SHARE**2 * (step[0] * step[0] + step[1] * step[1])
-            noise[5] += (MOTION_ERROR_SHARE * turn) ** 2
-            noise[5] += compute_turn_variance(
-                self._robot, field[:, 0], gradient[:, 0], currents, heading, window.duration, state.covariance[5, 5]
-            )
+            if isinstance(window, Actuate) and any(window.currents):
+                orientation = self._move_by_window(window, position, orientation, noise)
         self.motion = (
             position - state.position,
             compute_rotation_error(orientation, state.orientation),
             noise[:6].copy(),
         )
-        covariance = predict(state.covariance, wait, noise)
-        self._state = State(time, position, orientation, state.amplitude, state.drift, covariance)
+        covariance = self._predict_covariance(state.covariance, wait, noise)
+        self._state = replace(state, time=time, position=position, orientation=orientation, covariance=covariance)
+
+    def _move_by_window(
+        self, window: Actuate, position: FloatArray, orientation: FloatArray, noise: FloatArray
+    ) -> FloatArray:
+        """Move `position` through a window and add to the variances `noise`, in place; return the new orientation."""
+        state, robot = self._state, self._robot
+        assert state is not None
+        if self._table is None or not isinstance(robot, Robot):
+            return orientation
+        try:
+            field, gradient = self._table.field_and_gradient(position[None, :])
+        except OutsideTableError:
+            return orientation
+        ahead = matrix_from_quaternion(orientation) @ self._device.moment_in_body
+        heading = math.atan2(ahead[1], ahead[0])
+        here = field[:, 0], gradient[:, 0], np.array(window.currents), heading, window.duration
+        step, turn = self._compute_motion(robot, *here)
+        position[:2] += step
+        noise[:2] += MOTION_ERROR_SHARE**2 * (step[0] * step[0] + step[1] * step[1])
+        noise[5] += (MOTION_ERROR_SHARE * turn) ** 2
+        noise[5] += compute_turn_variance(robot, *here, state.covariance[5, 5])
+        return multiply_quaternions(quaternion_from_rotation_vector(np.array([0.0, 0.0, turn])), orientation)
+
+    def _compute_motion(
+        self,
+        robot: Robot,
+        field: FloatArray,
+        gradient: FloatArray,
+        currents: FloatArray,
+        heading: float,
+        duration: float,
+    ) -> tuple[FloatArray, float]:
+        """Compute step (2,) in m and turn in rad of one window."""
+        step, after = advance(robot, field, gradient, currents, heading, duration)
+        return step, after - heading
+
+    def _predict_covariance(self, covariance: FloatArray, wait: float, noise: FloatArray) -> FloatArray:
+        """Predict the covariance `wait` s ahead; `noise` (10,) holds variances."""
+        return predict(covariance, wait, noise)
 
     def _predict_helix(self, helix: Helix, shot: Shot, time: float, noise: FloatArray) -> None:
         """Predict the motion of a helix in a shot: it rests, unless the magnet turns."""
@@ -350,6 +400,7 @@ class Tracker:
             measurement_covariance += _MODEL_FLOOR
         m = len(innovation)
         distance, change, covariance = update(state.covariance, measurement_covariance, innovation)
+        self._innovation = distance, state.covariance[:m, :m] + measurement_covariance
         if not distance <= GATE + GATE_PER_DEGREE * (m - 6):
             return False
         scale = INNOVATION_OLD * self._innovation_scale + INNOVATION_NEW * self._innovation_scale * distance / m
@@ -363,10 +414,10 @@ class Tracker:
             drift=state.drift + change[_V],
             covariance=covariance,
         )
-        self._update_rates(change)
+        self._update_further_states(change)
         return True
 
-    def _update_rates(self, change: FloatArray) -> None:
+    def _update_further_states(self, change: FloatArray) -> None:
         """Update further states that a subclass has; here there are none."""
 
     def _publish(self, pose: Pose | None, accepted: bool) -> Pose:

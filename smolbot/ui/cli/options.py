@@ -40,7 +40,7 @@ RobotOption = Annotated[
 ]
 DeviceOption = Annotated[Path | None, typer.Option("--device", help="Device file, from smolbot calibrate.")]
 ForceOption = Annotated[
-    Literal["preview"] | None, typer.Option("--force", help="Fly even where the preview says no-go.")
+    Literal["preview"] | None, typer.Option("--force", help="Fly even where the preview says no-go.", metavar="preview")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 

@@ -79,7 +79,13 @@ def test_a_path_that_is_to_be_followed_slowly_gives_more_time():
     assert watch(slow, 0.0, seconds=200.0) > STALL_TIME + 30.0
 
 
-def test_a_flight_that_gets_nowhere_ends_stuck_with_the_reason_that_the_preview_gives():
+@pytest.fixture
+def no_remedies(monkeypatch):
+    """Remedies have tests of their own, and take far longer than what is tested here."""
+    monkeypatch.setattr("smolbot.flight.preview.gradient.find_remedy", lambda *_, **__: "")
+
+
+def test_a_flight_that_gets_nowhere_ends_stuck_with_the_reason_that_the_preview_gives(no_remedies):
     mission = load_mission("line", settings=TOO_WEAK)
     seen = smolbot.preview(mission)
     run = fly(mission, 3, opener=open_reduced)
@@ -93,7 +99,7 @@ def test_a_flight_that_gets_nowhere_ends_stuck_with_the_reason_that_the_preview_
     assert run.stop_reason.endswith(cause)
 
 
-def test_what_the_preview_calls_no_go_is_not_flown_unless_forced(tmp_path):
+def test_what_the_preview_calls_no_go_is_not_flown_unless_forced(no_remedies, tmp_path):
     brief = {"stop__max_duration_s": 1.0, "localization__quiet_s": 0.0}
     out = tmp_path / "run"
     for use in (
