@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.core.limits import Limits
@@ -56,6 +59,47 @@ def expect_ring_down(cycle: Cycle, constants: Sequence[float], limits: Limits) -
     return replace(cycle, ring_down=max(SEPARABLE_AFTER * max(constants), limits.min_ring_down))
 
 
+TAIL_ERROR = 0.1
+"""Share of a pulling coil's decaying field that is left once its learned decay is subtracted: an error of one per cent
+of the time constant, after ten of them."""
+
+MAX_TAIL_LEFT = 1e-9
+"""Field, in T, that may be left of it when listening begins: a tenth of the signal of a small magnet 80 mm away."""
+
+
+def lengthen_ring_down(
+    cycle: Cycle, longest: float, frequency: float, max_current: float, decays: Sequence[tuple[float, float]]
+) -> Cycle:
+    """Return a cycle that listens late enough for the decay of the pulling coils' currents.
+
+        I_max s e exp(-(t_burst + t_ring_down) / tau) <= B_left
+
+    Parameters
+    ----------
+    cycle : Cycle
+        That listens as soon as the excitation coils allow it.
+    longest : float, in s
+        Ring-down of the mission, which is not exceeded.
+    frequency : float, in Hz
+        Of the device.
+    max_current : float, in A
+        Of a pulling coil.
+    decays : sequence of (float, float)
+        Time constant tau of each coil, in s, and its largest field s at a sensor, in T per A.
+
+    Returns
+    -------
+    Cycle
+        As given where its ring-down suffices.
+    """
+    burst = cycle.excite_cycles / frequency
+    needed = [
+        tau * math.log(max_current * size * TAIL_ERROR / MAX_TAIL_LEFT) - burst for tau, size in decays if size > 0.0
+    ]
+    ring_down = min(max(needed, default=0.0), longest)
+    return replace(cycle, ring_down=ring_down) if ring_down > cycle.ring_down else cycle
+
+
 class Preparation:
     """Learning phase of a flight, before the first cycle.
 
@@ -93,6 +137,7 @@ class Preparation:
         self.scheduler = scheduler
         self.settings = settings
         self.tails = CoilDecays()
+        self._ring_down = scheduler.cycle.ring_down
         self._play = play
         self._now = now
         self._record_event = record_event
@@ -174,6 +219,18 @@ class Preparation:
                 "sizes_t_per_a": [None if t is None else t.size.tolist() for t in self.tails.decays],
             }
             self._record_event(self._now(), "coil tails learned", detail)
+            self._wait_for_tails(learned)
+
+    def _wait_for_tails(self, learned: Sequence[CoilDecay]) -> None:
+        """Listen later where strong currents would not have decayed."""
+        scheduler = self.scheduler
+        decays = [(decay.time_constant, float(np.max(np.abs(decay.size)))) for decay in learned]
+        cycle = lengthen_ring_down(
+            scheduler.cycle, self._ring_down, scheduler.device.frequency, scheduler.limits.max_current, decays
+        )
+        if cycle is not scheduler.cycle:
+            scheduler.cycle = cycle
+            self._record_event(self._now(), "ring-down lengthened", {"ring_down_ms": 1e3 * cycle.ring_down})
 
     def _learn_tail(self, coil: int) -> CoilDecay | None:
         for shot in self.scheduler.make_tail_shots(coil):

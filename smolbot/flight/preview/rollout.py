@@ -16,7 +16,7 @@ from smolbot.errors import SafetyError, report_plugin_errors
 from smolbot.flight.assembly import make_safety, make_steering_tracker
 from smolbot.flight.device_belief import DeviceBelief
 from smolbot.flight.pilots import Follower
-from smolbot.flight.preparation import expect_ring_down
+from smolbot.flight.preparation import expect_ring_down, lengthen_ring_down
 from smolbot.flight.preview.model_world import ModelWorld, Perturbation, PoseErrors
 from smolbot.flight.safety.heat_store import HeatMemory
 from smolbot.flight.scheduler import Scheduler
@@ -135,9 +135,15 @@ def expect_cycle(mission: Mission) -> Cycle:
     -------
     Cycle
     """
-    constants = [coil.time_constant for coil in mission.rig.sections.excitation]
-    learns = mission.sections.localization.learns_ring_down
-    return expect_ring_down(mission.cycle, constants, mission.rig.limits) if learns else mission.cycle
+    if not mission.sections.localization.learns_ring_down:
+        return mission.cycle
+    rig, frequency = mission.rig, mission.robot.device.frequency
+    constants = [coil.time_constant for coil in rig.sections.excitation]
+    cycle = expect_ring_down(mission.cycle, constants, rig.limits)
+    sensors = rig.sensors
+    sizes = [np.max(np.abs(np.sum(coil.field(sensors.positions) * sensors.axes, axis=1))) for coil in rig.round_coils()]
+    decays = [(coil.time_constant, float(size)) for coil, size in zip(rig.sections.coils, sizes, strict=True)]
+    return lengthen_ring_down(cycle, mission.cycle.ring_down, frequency, rig.limits.max_current, decays)
 
 
 class Rollout:
