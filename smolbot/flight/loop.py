@@ -29,6 +29,7 @@ from smolbot.flight.safety.supervisor import Safety, make_limits_only_safety
 from smolbot.flight.scheduler import Scheduler
 from smolbot.flight.tracking.channel_watch import ChannelWatch
 from smolbot.flight.tracking.noise_monitor import NoiseMonitor
+from smolbot.flight.tracking.pose_gate import find_gross_error
 from smolbot.flight.tracking.resonance_filter import ResonanceFilter
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.localization.array.filter import ArrayFilter
@@ -355,8 +356,10 @@ class Loop:
             self._miss = ""
             if self.channels is not None:
                 self.channels.gate.accept()
-        elif pose is not None and pose.trusted and not self.independent:
-            pose, self._miss = replace(pose, trusted=False), "the pose does not agree with the track"
+        elif pose is not None and pose.trusted and tracked is not None and not self.independent:
+            objection = find_gross_error(pose, tracked, along_cantilever=self.localizer.device.along_cantilever)
+            if objection:
+                pose, self._miss = replace(pose, trusted=False), objection
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.predict(*self.tracker.motion)
         learns = not self.independent and tracked is not None and tracked.trusted
