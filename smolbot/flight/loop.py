@@ -426,9 +426,10 @@ class Loop:
         """Record when the signal gets lost, with the reason, and when it is back."""
         if shot.listen is None:
             return
-        if self.tracker.misses:
+        searched = self.independent and pose is not None and pose.trusted  # found again, but not yet a measurement
+        if self.tracker.misses and not searched:
             self._miss = self._miss or describe_miss(pose)
-            if not self._lost and ended - self._found >= NOTED_LOSS and self.tracker.pose is not None:
+            if not self._lost and ended - self._found >= NOTED_LOSS and self._found > self._started:
                 self._lost = self._miss
                 self._record_event(ended, "signal lost", {"since_s": round(self._found, 3), "reason": self._lost})
             return
@@ -446,7 +447,7 @@ class Loop:
         now, rules = self.rig.now(), self.rules
         lost_for = now - self._found
         if self.tracker.misses >= rules.max_lost_shots and lost_for >= rules.max_lost_time:
-            why = "the signal was never found" if self.tracker.pose is None else "the signal was lost"
+            why = "the signal was lost" if self._found > self._started else "the signal was never found"
             cause = f"; the last one: {self._miss}" if self._miss else ""
             count = self.tracker.misses
             if self.scheduler.blind:  # the world has failed, not the search
