@@ -122,6 +122,7 @@ def _print_results(found: Simulation, json: bool) -> None:
     low, high = found.pass_rate_95
     rows = [
         ("passed", f"{figures['passed']} of {figures['flown']} ({low:.0%} to {high:.0%} with 95 % confidence)"),
+        *([("ended by an error", f"{figures['errors']} of {figures['flown']}")] if figures["errors"] else []),
         *[
             (column, f"{v['mean']:.3g}   ({v['min']:.3g} to {v['max']:.3g})")
             for column in COLUMNS

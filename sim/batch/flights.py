@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import time
+import traceback
 from collections.abc import Iterator
 from concurrent.futures import Executor, as_completed
 from enum import StrEnum
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from smolbot.config.mission import Mission
+from smolbot.errors import SmolbotError
 from smolbot.functions.simulate import Flight
+
+if TYPE_CHECKING:
+    from smolbot.config.load import AnyMission
+
+_LOG = logging.getLogger(__name__)
 
 
 class PlantModel(StrEnum):
@@ -44,12 +54,64 @@ def fly_seeds(
     Yields
     ------
     Flight
-        As they end, in any order.
+        As they end, in any order. One that an error ended is a failed flight among them.
+
+    Raises
+    ------
+    PluginError
+        If a lab's own part failed: it would fail in every flight.
     """
     forget_missions()
     futures = [executor.submit(fly_one, mission, rig, settings, seed, plant) for seed in seeds]
     for future in as_completed(futures):
         yield future.result()
+
+
+def make_failed_flight(mission: AnyMission, seed: int, plant: PlantModel, error: Exception) -> Flight:
+    """Make the row of a flight that an unexpected error ended.
+
+    Parameters
+    ----------
+    mission : Mission or Observation
+    seed : int
+    plant : PlantModel
+    error : Exception
+
+    Returns
+    -------
+    Flight
+        Failed; its reason names the error's type and where it was raised.
+    """
+    reason = describe_error(error)
+    summary: dict[str, Any] = {
+        "mission": mission.name, "seed": seed, "status": "failed", "stop_reason": reason, "verdict": "failed",
+        "verdict_reasons": [reason], "plant": plant.value, "ideal": False, "error": type(error).__name__,
+    }  # fmt: skip
+    if isinstance(mission, Mission):
+        summary["path_length_mm"] = 1e3 * mission.path.length
+    return Flight(summary, None, os.getpid(), time.time(), time.process_time())
+
+
+def describe_error(error: Exception) -> str:
+    """Describe an error with its type and the innermost line that raised it.
+
+    Parameters
+    ----------
+    error : Exception
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> describe_error(ValueError("no such thing"))
+    'ValueError: no such thing'
+    """
+    frames = traceback.extract_tb(error.__traceback__)
+    ours = [frame for frame in frames if "site-packages" not in Path(frame.filename).parts] or list(frames)
+    where = f" ({Path(ours[-1].filename).name}:{ours[-1].lineno}, in {ours[-1].name})" if ours else ""
+    return f"{type(error).__name__}: {error}{where}"
 
 
 _loaded: dict[tuple[Any, ...], Any] = {}
@@ -79,6 +141,14 @@ def fly_one(
     Returns
     -------
     Flight
+        A failed one if an error ended it.
+
+    Raises
+    ------
+    ConfigError, InputError
+        If the files cannot be flown at all.
+    PluginError
+        If a lab's own part failed.
     """
     from smolbot.config.load import load_mission
     from smolbot.flight.session import fly
@@ -91,7 +161,13 @@ def fly_one(
         from sim.reduced.rig import open_reduced
 
         opener = open_reduced
-    run = fly(_loaded[key], seed, settings=settings, opener=opener)
+    try:
+        run = fly(_loaded[key], seed, settings=settings, opener=opener)
+    except SmolbotError:  # files that cannot be flown, or a lab's own part: every flight would end so
+        raise
+    except Exception as error:  # one bad world is one failed flight, and its row says where
+        _LOG.warning("%s, seed %d: the flight was ended by an error", _loaded[key].name, seed, exc_info=error)
+        return make_failed_flight(_loaded[key], seed, plant, error)
     return Flight(run.summary, run.true_trail, os.getpid(), time.time(), time.process_time())
 
 

@@ -55,10 +55,11 @@ class LocalizationSection(FileModel):
 
 
 class StopSection(FileModel):
-    """When a flight is given up."""
+    """When a flight is given up: the signal is lost after `lost_shots` shots and `lost_s` without a trusted pose."""
 
     max_duration_s: Positive = 600.0
     lost_shots: Annotated[int, Field(ge=1)] = 20
+    lost_s: NotNegative = 15.0
 
 
 class MissionBaseFile(FileModel):

@@ -93,7 +93,7 @@ def make_loop(
         listening.background_noise_duration, mission.rig.sample_rate, listening.learns_ring_down
     )
     stop = mission.base.stop
-    rules = StopRules(stop.max_duration_s, stop.lost_shots)
+    rules = StopRules(stop.max_duration_s, stop.lost_shots, stop.lost_s)
     locator: PoseEstimator = rig.make_synthetic_localizer(localizer) if isinstance(rig, SyntheticPoseRig) else localizer
     return Loop(
         rig, scheduler, locator, tracker, pilot, rules, preparation, listeners,

@@ -39,7 +39,20 @@ from smolbot.motion.controller import Command
 from smolbot.runs.run import CycleRecord, Event, Listener, RecorderSink, Run, Status
 
 _LOG = logging.getLogger(__name__)
-_EXPECTED_ERRORS = (InterlockError, RigError, OutsideTableError)
+_EXPECTED_ERRORS = (InterlockError, RigError, OutsideTableError, InputError)
+"""What may end a flight under way: a limit, a failing rig, the edge of the field table, signals that no model fits."""
+
+LOST_SIGNALS = "lost_signals"
+"""Key of losses of the signal among what a run has recovered from."""
+
+NOTED_LOSS = 1.0
+"""Time without an accepted pose, in s, from which the record says that the signal is lost: a few outliers are none."""
+
+MIN_HEARD = 0.5
+"""Share of a signal that a fit must explain for the device to have been heard at all: less is background noise."""
+
+SHOWN_TIME = 0.05
+"""Time, in s, below which learning or pauses are not mentioned."""
 
 LEARNING_INTERVAL = 5
 """Number of cycles between two updates of resonance and noise, which change slowly."""
@@ -55,10 +68,14 @@ class StopRules:
         Counted from the first cycle on, pauses excluded.
     max_lost_shots : int
         Listening shots in a row without an accepted pose.
+    max_lost_time : float, in s
+        Time without an accepted pose. The signal is given up once both are reached: what takes its time, such as an
+        amplifier that restarts, ends nothing, and a slow cycle gets as many attempts as a fast one.
     """
 
     max_duration: float
     max_lost_shots: int
+    max_lost_time: float = 0.0
 
 
 def as_lists(sensors: SensorArray) -> dict[str, object]:
@@ -171,7 +188,10 @@ class Loop:
         self._began = self._started = 0.0
         self._paused = 0.0
         self._located = 0
+        self._found = 0.0  # end of the last shot with an accepted pose, in s
         self._miss = ""  # why the last window gave no pose, where that is known
+        self._lost = ""  # why the signal is lost, once the record says that it is
+        self._losses = 0  # losses of the signal that were overcome
 
     def fly(self) -> Run:
         """Cycle until the path's end, a stop rule, an error or Ctrl-C; every output is at zero afterwards.
@@ -256,7 +276,7 @@ class Loop:
         self.localizer, self.tails = first.localizer, first.tails
         first.warm_up(None if self.array_filter is None else self.array_filter.prior.frames)
         self.resonance = ResonanceFilter(self.scheduler.belief)
-        self.run.begun = self._started = self.rig.now()
+        self.run.begun = self._started = self._found = self.rig.now()
 
     def _finish(self, run: Run, error: BaseException | None) -> None:
         """Note how the run ended, bring the outputs to zero, and complete its figures."""
@@ -295,6 +315,8 @@ class Loop:
     def _count_recovered(self) -> dict[str, int]:
         """Count the faults that the flight recovered from. A kind that safety and rig both count enters once."""
         found = dict(self.safety.recovered)
+        if self._losses:
+            found[LOST_SIGNALS] = self._losses
         counted = self.rig.recovered if isinstance(self.rig, RecoveryCounter) else {}
         for kind, times in counted.items():
             name = kind.replace(" ", "_")
@@ -335,7 +357,9 @@ class Loop:
             self._tape.record_shot(shot, recording, ended)
         recording = self.safety.check_recording(shot, recording, ended)
         recording = None if recording is None else self.tails.subtract_from(shot, recording)
+        self.scheduler.blind = shot.listen is not None and recording is None
         pose: Pose | None = None
+        self._miss = "its recording was lost" if recording is None else ""
         swing: Oscillation | None = None
         if recording is not None:
             # an outdated prior would only mislead: a lost signal is searched for without one
@@ -371,6 +395,7 @@ class Loop:
             if self._located % LEARNING_INTERVAL == 0:
                 self._update_resonance(tracked.time, swing)
                 self._refresh_noise(tracked.time, swing, recording)
+        self._note_loss(shot, ended, pose)
         answer = self.pilot.command(shot, self.tracker)
         if answer.event:
             self._record_event(shot.end, answer.event, {"note": answer.note})
@@ -430,16 +455,71 @@ class Loop:
         self.localizer = self.localizer.with_noise(noise.rescaled(ratios))
         self._record_event(time, "noise refreshed", {"power_ratios": [round(float(r), 2) for r in ratios]})
 
+    def _note_loss(self, shot: Shot, ended: float, pose: Pose | None) -> None:
+        """Record when the signal gets lost, with the reason, and when it is back."""
+        if shot.listen is None:
+            return
+        searched = self.independent and pose is not None and pose.trusted  # found again, but not yet a measurement
+        if self.tracker.misses and not searched:
+            self._miss = self._miss or describe_miss(pose)
+            if not self._lost and ended - self._found >= NOTED_LOSS and self._found > self._started:
+                self._lost = self._miss
+                self._record_event(ended, "signal lost", {"since_s": round(self._found, 3), "reason": self._lost})
+            return
+        if self._lost:
+            self._losses += 1
+            detail = {"after_s": round(ended - self._found, 3), "reason": self._lost}
+            self._record_event(ended, "signal back", detail)
+        self._found, self._lost = ended, ""
+
     def _find_stop_reason(self, command: Command) -> tuple[Status, str] | None:
         if command.done:
             return "completed", command.note or "done"
         if command.stuck:
             return "stuck", command.note or "the controller gave up"
-        if self.tracker.misses >= self.rules.max_lost_shots:
-            why = "the signal was never found" if self.tracker.pose is None else "the signal was lost"
+        now, rules = self.rig.now(), self.rules
+        lost_for = now - self._found
+        if self.tracker.misses >= rules.max_lost_shots and lost_for >= rules.max_lost_time:
+            why = "the signal was lost" if self._found > self._started else "the signal was never found"
             cause = f"; the last one: {self._miss}" if self._miss else ""
-            return "lost", f"{why}: {self.tracker.misses} shots in a row gave no trusted pose{cause}"
-        flown = self.rig.now() - self._started - self._paused
-        if flown >= self.rules.max_duration:
-            return "timeout", f"max_duration_s reached after {flown:.0f} s"
+            count = self.tracker.misses
+            if self.scheduler.blind:  # the world has failed, not the search
+                return "failed", f"Stale data: over {lost_for:.1f} s, {count} shots gave no pose; {cause[2:]}"
+            return "lost", f"{why}: {count} shots in a row, over {lost_for:.1f} s, gave no trusted pose{cause}"
+        flown = now - self._started - self._paused
+        if flown >= rules.max_duration:
+            return "timeout", f"max_duration_s reached after {flown:.0f} s{self._describe_uncounted()}"
         return None
+
+    def _describe_uncounted(self) -> str:
+        """Describe what lies between the time flown and the run's duration, which counts from its start."""
+        parts = [f"{self._started:.1f} s of learning before the first cycle"] if self._started >= SHOWN_TIME else []
+        parts += [f"{self._paused:.1f} s of pauses"] if self._paused >= SHOWN_TIME else []
+        return f", not counting {' and '.join(parts)}" if parts else ""
+
+
+def describe_miss(pose: Pose | None) -> str:
+    """Describe why a recording gave no pose that could be used.
+
+    Parameters
+    ----------
+    pose : Pose or None
+        As located.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> describe_miss(None)
+    'no pose was found in it'
+    """
+    if pose is None:
+        return "no pose was found in it"
+    if not pose.trusted:
+        share = f"the fit explains {100 * max(pose.r_squared, 0.0):.0f} % of the signal"
+        if pose.r_squared < MIN_HEARD:
+            return f"the device was not heard ({share}): does it swing, and is it excited?"
+        return f"its pose was not trusted ({share})"
+    return "its pose contradicts the tracked one"

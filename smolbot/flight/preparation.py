@@ -114,10 +114,9 @@ class Preparation:
         recordings = [self._play_with_retry(shot) for shot in self.scheduler.make_probe_shots()]
         constants = self.localizer.transients
         if "transients" in self.localizer.learns:
-            frequency = self.localizer.device.frequency
-            constants = tuple(learn_time_constant([r], frequency) for r in recordings if r is not None)
-            if len(constants) < len(recordings):  # the mission's later start of listening is safe for any coil
-                self._record_event(self._now(), "ring-down not learned", {"lost": len(recordings) - len(constants)})
+            constants, missing = self._identify_ring_downs(recordings)
+            if missing:  # the mission's later start of listening is safe for any coil
+                self._record_event(self._now(), "ring-down not learned", missing)
                 return
             self.localizer = self.localizer.with_transients(constants)
         if not constants:
@@ -127,11 +126,26 @@ class Preparation:
         detail = {"time_constants_ms": [1e3 * t for t in constants], "ring_down_ms": 1e3 * ring_down}
         self._record_event(self._now(), "ring-down learned", detail)
 
+    def _identify_ring_downs(self, probes: list[Recording | None]) -> tuple[tuple[float, ...], dict[str, object]]:
+        """Identify the decay that each probe heard; return the time constants, and what is missing, if anything."""
+        heard = [probe for probe in probes if probe is not None]
+        if len(heard) < len(probes):
+            return (), {"lost": len(probes) - len(heard)}
+        frequency = self.localizer.device.frequency
+        try:
+            return tuple(learn_time_constant([probe], frequency) for probe in heard), {}
+        except InputError as error:  # a probe in which nothing decays: a coil that is not connected, sensors that clip
+            return (), {"reason": str(error)}
+
     def _learn_tails(self) -> None:
         """Learn the decay of each actuation coil's current, where listening starts before it is over."""
         if not self.settings.learn_ring_down or "transients" not in self.localizer.learns:
             return
-        self.tails = CoilDecays(tuple(self._learn_tail(coil) for coil in range(len(self.scheduler.limits.coils))))
+        coils = self.scheduler.limits.coils
+        self.tails = CoilDecays(tuple(self._learn_tail(coil) for coil in range(len(coils))))
+        missing = [name for name, tail in zip(coils, self.tails.decays, strict=True) if tail is None]
+        if missing:
+            self._record_event(self._now(), "coil tails not learned", {"coils": missing})
         learned = [tail for tail in self.tails.decays if tail is not None]
         if learned:
             detail: dict[str, object] = {

@@ -113,8 +113,8 @@ class TrackedPose(Protocol):
 class Scheduler:
     """Decides the mode of the next shot and lays out its windows.
 
-    Modes: ``search`` without a pose; ``hold`` to listen without actuating; ``track`` to actuate and
-    listen; ``lost`` after `max_misses` windows without a trusted pose.
+    Modes: ``search`` without a pose; ``hold`` to listen without actuating, in a pause and after a lost window;
+    ``track`` to actuate and listen; ``lost`` after `max_misses` windows without a trusted pose.
 
     Parameters
     ----------
@@ -128,6 +128,14 @@ class Scheduler:
         Earliest start of the next shot, in s.
     max_misses : int
         Number of misses in a row at which actuation stops.
+
+    Attributes
+    ----------
+    paused : bool
+        Whether to listen without actuating, because somebody asked for it.
+    blind : bool
+        Whether the last window was lost. Until windows come again, the robot is not driven, and its last pose is kept:
+        nothing says that it moved, and a search would hear as little.
     """
 
     def __init__(
@@ -144,6 +152,7 @@ class Scheduler:
         self.belief = belief
         self.max_misses = max_misses
         self.paused = False
+        self.blind = False
         self.search_shots = 0
         self._excitation_field = excitation_field
         self._clock = clock
@@ -236,6 +245,8 @@ class Scheduler:
     def _choose_mode(self, tracker: TrackedPose) -> Mode:
         if tracker.pose is None:
             return "search"
+        if self.blind:
+            return "hold"
         if tracker.misses >= self.max_misses:
             return "lost"
         return "hold" if self.paused or not tracker.confirmed else "track"

@@ -16,6 +16,10 @@ from smolbot.core.shots import Actuate, Rotate
 from smolbot.runs.run import Run, get_trusted_poses
 from smolbot.runs.trace import Moment, Trace, pair_with_truth
 
+SLOWER = 1.1
+"""Factor by which a flight may take longer than its path requests before it counts as too slow: the approach to the
+speed, and a drag that is a few per cent more, are no failure."""
+
 
 def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
     """Compute the figures of merit of a run.
@@ -41,6 +45,7 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
     out["path_length_mm"] = mission.path.length * 1e3
     out["progress_mm"] = max((c.command.progress for c in run.cycles), default=0.0) * 1e3
     out["path_time_s"] = compute_path_time(trace)
+    out |= compare_with_requested_speed(mission, out["path_time_s"], out["progress_mm"])
     out |= compute_errors(mission, trace.moments)
     if mission.robot.kind == "helical":
         out |= _count_turns(run) | _compute_axis_errors(mission, trace)
@@ -179,6 +184,35 @@ def compute_path_time(trace: Trace) -> float | None:
     """
     following = trace.following
     return following[-1].cycle.shot.end - following[0].cycle.shot.end if following else None
+
+
+def compare_with_requested_speed(mission: Mission, path_time: float | None, progress_mm: float) -> dict[str, Any]:
+    """Compare the mean speed along the path with the one that the path requests.
+
+    Parameters
+    ----------
+    mission : Mission
+    path_time : float, in s, or None
+        Time on the path; None if it was not followed.
+    progress_mm : float, in mm
+        How far along the path the robot came.
+
+    Returns
+    -------
+    dict
+        Empty if the path requests no speed. Otherwise the time that the complete path should take, and mean and
+        requested mean speed; `speed_reached` is false where the robot was slower by more than `SLOWER`.
+    """
+    if mission.path.speed is None:
+        return {}
+    requested = mission.path.speed.duration
+    wanted = 1e3 * mission.path.length / requested
+    mean = progress_mm / path_time if path_time else 0.0
+    return {
+        "path_time_wanted_s": requested,
+        "path_speed_mm_s": {"mean": mean, "wanted": wanted},
+        "speed_reached": mean * SLOWER >= wanted,
+    }
 
 
 def compute_errors(mission: MissionBase, moments: list[Moment]) -> dict[str, Any]:

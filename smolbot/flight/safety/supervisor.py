@@ -41,7 +41,8 @@ class SafetyRules:
     uncertain_shots : int
         Number of shots in a row that drive the robot with a pose beyond `max_sigma` at which the run ends.
     stale_shots : int
-        Number of listening windows in a row without a recording at which the run ends.
+        Number of shots in a row, of those that drive the robot, without a recording at which the run ends. Where
+        nothing moves the robot a lost window does no harm: such shots in between do not count.
     max_age : float, in s
         A recording that arrives later than this after it was made counts as lost.
     allowed_box : tuple of two tuples, in m, or None
@@ -105,6 +106,7 @@ class Safety:
         self._magnet_near = False
         self._uncertain = 0
         self._missing = 0
+        self._driven_blind = 0
 
     def check_shot(self, shot: Shot, now: float, pose: Pose | None) -> None:
         """Check a shot before it is played.
@@ -164,19 +166,21 @@ class Safety:
             recording = None if late else recording
         if recording is None:
             self._missing += 1
+            self._driven_blind += moves_robot(shot)
             _LOG.warning("%.3f s: a listening window was lost%s", now, f": {late}" if late else "")
-            if self._missing >= self.rules.stale_shots:
+            if self._driven_blind >= self.rules.stale_shots:
                 why = late or f"the shot at {shot.start:.3f} s listened and gave no recording"
                 self._trip(
-                    f"Stale data: {self._missing} listening windows in a row were lost (stale_shots = "
+                    f"Stale data: {self._driven_blind} listening windows in a row were lost (stale_shots = "
                     f"{self.rules.stale_shots}); of the last one, {why}.",
-                    self._missing,
+                    self._driven_blind,
                     self.rules.stale_shots,
                     "windows",
                 )
             return None
         self.recovered[LOST_WINDOWS] += self._missing
         self._missing = 0
+        self._driven_blind *= not moves_robot(shot)
         probes = shot.mode == "quiet" and any(isinstance(w, Actuate | Excite) for w in shot.windows)
         if not probes:  # a probe records the decay of a drive on purpose, which may saturate sensors
             wrong = self._sensor_monitor.check_recording(recording)
@@ -229,7 +233,7 @@ class Safety:
         rules = self.rules
         if pose is not None and pose.trusted and rules.allowed_box is not None:
             self._check_position(pose, rules.allowed_box)
-        if shot.mode == "quiet" or not any(isinstance(w, Actuate | Rotate) for w in shot.windows):
+        if not moves_robot(shot):
             return
         if pose is None:
             self._trip("Lost pose: a shot would drive the robot before it was ever located. Nothing was played.")
@@ -259,7 +263,17 @@ class Safety:
                 )
 
     def _advance_heat_and_duty(self, shot: Shot, now: float) -> None:
-        """Advance heat and duty cycle to the end of a shot."""
+        """Advance heat and duty cycle to the end of a shot; one that is refused leaves both as they were."""
+        kept = list(self.heat.temperatures), list(self.heat.peaks), list(self.duty.peaks)
+        try:
+            self._add_heat_and_duty(shot, now)
+        except SafetyError:
+            self.heat.temperatures, self.heat.peaks, self.duty.peaks = kept
+            raise
+        if self._memory is not None:
+            self._memory.keep(self.heat)
+
+    def _add_heat_and_duty(self, shot: Shot, now: float) -> None:
         self.heat.advance((), now - self._time)
         at, n_coils = now, len(self.limits.coils)
         for window in shot.windows:
@@ -273,8 +287,6 @@ class Safety:
                 self._check_heat()
             at = end
         self._time = max(at, self._time)
-        if self._memory is not None:
-            self._memory.keep(self.heat)
 
     def _check_duty(self, coil: int, start: float, end: float) -> None:
         share, name = self.duty.add_span(coil, start, end), self.duty.coil_names[coil]
@@ -312,6 +324,20 @@ class Safety:
         if age > self.rules.max_age:
             return f"the recording was {age:.2f} s old on arrival (max_age_ms = {1e3 * self.rules.max_age:g})"
         return ""
+
+
+def moves_robot(shot: Shot) -> bool:
+    """Return whether a shot drives the robot; the weak pulls of the learning phase do not.
+
+    Parameters
+    ----------
+    shot : Shot
+
+    Returns
+    -------
+    bool
+    """
+    return shot.mode != "quiet" and any(isinstance(window, Actuate | Rotate) for window in shot.windows)
 
 
 def make_limits_only_safety(limits: Limits, n_sensors: int) -> Safety:

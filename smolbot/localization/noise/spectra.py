@@ -22,6 +22,10 @@ MAX_LINES = 16
 LINE_CONTRAST = 12.0
 """Power of a line relative to its neighbourhood, summed over the sensors."""
 
+MIN_LINE_SPACING = 0.25
+"""Least distance between two lines, in the reciprocal of a piece's duration. Nearer ones are one line, of which
+converter steps or a drifting frequency have left something; fitted together they have no unique solution."""
+
 SEGMENT = 0.2
 """Length, in s, of the segments over which the smooth spectrum is averaged."""
 
@@ -147,7 +151,9 @@ def find_lines(pieces: list[FloatArray], rate: float) -> FloatArray:
         while (
             len(found) + len(new) < MAX_LINES and (peak := int(np.argmax(contrast))) and contrast[peak] > LINE_CONTRAST
         ):
-            new.append(_refine_peak(grid, power, peak))
+            line = _refine_peak(grid, power, peak)
+            if all(abs(line - known) > MIN_LINE_SPACING * rate / n for known in found):
+                new.append(line)
             contrast[max(peak - 2 * lobe, 0) : peak + 2 * lobe + 1] = 0.0
         if not new:
             break

@@ -40,6 +40,8 @@ NAMES = {
     "coil_energy_j": "heat in the actuation coils",
     "duration_s": "duration",
     "path_time_s": "of it on the path",
+    "path_time_wanted_s": "wanted for it",
+    "path_speed_mm_s": "speed along the path",
     "path_length_mm": "length of the path",
     "progress_mm": "of it passed",
     "cycles": "cycles",

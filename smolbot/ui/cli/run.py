@@ -114,6 +114,8 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         rows.append(("magnet", f"{s['turns']:g} turns, {s['pauses']} pauses, {s['step_outs']} step-outs"))
     elif "coil_energy_j" in s:
         rows.append(("coil energy", f"{s['coil_energy_j']:.0f} J"))
+    if "path_speed_mm_s" in s:
+        rows.append(("speed along the path", _format_speed(s)))
     if s.get("duty_peak"):
         rows.append(("coils", _format_coils(s)))
     if text := _format_recovered(s):
@@ -156,6 +158,19 @@ def _format_not_recorded(recording: Any) -> str:
     dropped = recording.get("dropped")
     parts = [f"{dropped} messages" if dropped else "", str(recording.get("error") or "")]
     return ": ".join(part for part in parts if part)
+
+
+def _format_speed(summary: dict[str, Any]) -> str:
+    """Describe the mean speed along the path, and whether it is the wanted one.
+
+    Examples
+    --------
+    >>> _format_speed({"path_speed_mm_s": {"mean": 1.31, "wanted": 2.0}, "speed_reached": False})
+    '1.31 mm/s on average; wanted 2.00 mm/s: not reached'
+    """
+    speed = summary["path_speed_mm_s"]
+    late = "" if summary["speed_reached"] else ": not reached"
+    return f"{speed['mean']:.2f} mm/s on average; wanted {speed['wanted']:.2f} mm/s{late}"
 
 
 def _format_reasons(value: Any) -> list[str]:

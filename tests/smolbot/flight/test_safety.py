@@ -307,15 +307,36 @@ def test_one_lost_window_at_any_moment_ends_no_mission_and_is_counted(brief, mom
     assert {e.what for e in run.events} >= {"noise learned", "ring-down learned", "coil tails learned"}
 
 
-@pytest.mark.parametrize("moment", [is_quiet, is_tail, is_track])
-def test_windows_lost_one_after_another_end_the_run_with_its_folder(brief, moment, tmp_path):
+@pytest.mark.parametrize(
+    ("moment", "reason"),
+    [(is_quiet, "noise cannot be learned from 4 quiet shots"), (is_track, "Stale data: 3 listening windows in a row")],
+)
+def test_windows_lost_one_after_another_end_the_run_with_its_folder(brief, moment, reason, tmp_path):
     run, rig, _ = flown_on(brief, folder=RunFolder(tmp_path / "run"), at=moment, lose=range(1 << 30))
     assert run.status == "failed"
-    assert "Stale data: 3 listening windows in a row" in run.stop_reason
+    assert reason in run.stop_reason
     assert rig.stops >= 1
-    assert rig.picked == 3
+    assert rig.picked == (4 if moment is is_quiet else 3)
     assert json.loads((tmp_path / "run/summary.json").read_text())["stop_reason"] == run.stop_reason
     assert {"mission.toml", "rig.toml", "provenance.json"} <= {p.name for p in (tmp_path / "run").iterdir()}
+
+
+def test_coil_tails_whose_windows_are_lost_are_named_and_end_nothing(brief):
+    run, _, _ = flown_on(brief, at=is_tail, lose=range(1 << 30))
+    assert run.status == "timeout"
+    (event,) = [e for e in run.events if e.what == "coil tails not learned"]
+    assert event.detail == {"coils": list(brief.rig.coil_names)}
+
+
+def test_shots_that_listen_only_lose_their_windows_without_harm():
+    safety, held = a_safety(rules=SafetyRules(stale_shots=2)), Shot((RingDown(0.02), LISTEN), "hold", 0.0)
+    shot = pulling()
+    safety.check_recording(shot, None, 0.2)
+    for _ in range(100):
+        safety.check_recording(held, None, 0.2)
+    safety.check_recording(held, make_recording(held), 0.2)  # heard, but nothing moved: the next pull is blind again
+    with pytest.raises(SafetyError, match="Stale data: 2 listening windows in a row were lost"):
+        safety.check_recording(shot, None, 0.2)
 
 
 def test_a_ring_down_that_cannot_be_measured_keeps_the_missions_own(brief):
@@ -434,7 +455,7 @@ def test_a_hot_coil_ends_a_flight_and_the_folder_has_the_reason(tmp_path):
     run = fly(hot, 3, folder=RunFolder(tmp_path / "run"))
     assert run.status == "failed"
     assert "max_temperature_c" in run.stop_reason
-    assert max(run.summary["coil_temperature_peak_c"].values()) > 40.0
+    assert 35.0 < max(run.summary["coil_temperature_peak_c"].values()) <= 40.0  # of the shots that were played
 
 
 @pytest.mark.parametrize(
