@@ -357,6 +357,8 @@ class Loop:
             self._tape.record_shot(shot, recording, ended)
         recording = self.safety.check_recording(shot, recording, ended)
         recording = None if recording is None else self.tails.subtract_from(shot, recording)
+        if self.channels is not None:
+            self.channels.gate.add_shot(shot, None if self.tracker.pose is None else self.tracker.pose.position)
         self.scheduler.blind = shot.listen is not None and recording is None
         pose: Pose | None = None
         self._miss = "its recording was lost" if recording is None else ""
@@ -367,7 +369,7 @@ class Loop:
             prior = None if self.independent or lost else self.tracker.pose_at(recording.middle)
             try:
                 with report_plugin_errors("Estimator", self.localizer, "locate"):
-                    pose, swing = self._locate(shot, recording, prior)
+                    pose, swing = self._locate(recording, prior)
             except InputError as error:  # too few usable channels: a missed window, counted by the tracker
                 pose, swing, self._miss = None, None, str(error)
             if pose is not None and not isinstance(pose, Pose):
@@ -378,7 +380,7 @@ class Loop:
         tracked = self.tracker.update(shot, pose, swing)
         if self.tracker.misses == 0:
             self._miss = ""
-            if self.channels is not None:
+            if self.channels is not None and pose is not None:
                 self.channels.gate.accept()
         elif pose is not None and pose.trusted and tracked is not None and not self.independent:
             objection = find_gross_error(pose, tracked, along_cantilever=self.localizer.device.along_cantilever)
@@ -405,13 +407,12 @@ class Loop:
         status = self.rig.status_line if isinstance(self.rig, StatusReporter) else ""
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - received), ended, status)
 
-    def _locate(self, shot: Shot, recording: Recording, prior: Pose | None) -> tuple[Pose, Oscillation | None]:
+    def _locate(self, recording: Recording, prior: Pose | None) -> tuple[Pose, Oscillation | None]:
         """Locate in a recording, with the sensors that agree with each other."""
         watch, tracker = self.channels, self.tracker
         if watch is None:
             return self.localizer.locate_swing(recording, prior)
         predicted = tracker.pose_at(recording.middle) if tracker.confirmed and not self.independent else None
-        watch.gate.add_shot(shot, None if predicted is None else predicted.position)
         found = watch.locate(self.localizer, recording, prior, predicted)
         if found.reason:
             self._miss = found.reason
