@@ -97,4 +97,4 @@ def test_deviations_as_likely_as_the_tolerances_say_are_no_change_of_gain():
         q = np.sqrt(np.diag(TOLERANCES)) * rng.standard_normal(len(TOLERANCES))
         right = rows.T @ (rows @ q + rng.standard_normal(len(rows)))
         found.append(compute_gain_sigmas(information, right, TOLERANCES))
-    assert np.mean(np.square(found)) == pytest.approx(1.0, abs=0.15)
+    assert np.mean(np.square(found)) == pytest.approx(1.0, abs=0.1)
