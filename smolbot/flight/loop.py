@@ -29,6 +29,7 @@ from smolbot.flight.safety.supervisor import Safety, make_limits_only_safety
 from smolbot.flight.scheduler import Scheduler
 from smolbot.flight.tracking.channel_watch import ChannelWatch
 from smolbot.flight.tracking.noise_monitor import NoiseMonitor
+from smolbot.flight.tracking.pose_gate import find_gross_error
 from smolbot.flight.tracking.resonance_filter import ResonanceFilter
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.localization.array.filter import ArrayFilter
@@ -356,6 +357,8 @@ class Loop:
             self._tape.record_shot(shot, recording, ended)
         recording = self.safety.check_recording(shot, recording, ended)
         recording = None if recording is None else self.tails.subtract_from(shot, recording)
+        if self.channels is not None:
+            self.channels.gate.add_shot(shot, None if self.tracker.pose is None else self.tracker.pose.position)
         self.scheduler.blind = shot.listen is not None and recording is None
         pose: Pose | None = None
         self._miss = "its recording was lost" if recording is None else ""
@@ -366,7 +369,7 @@ class Loop:
             prior = None if self.independent or lost else self.tracker.pose_at(recording.middle)
             try:
                 with report_plugin_errors("Estimator", self.localizer, "locate"):
-                    pose, swing = self._locate(shot, recording, prior)
+                    pose, swing = self._locate(recording, prior)
             except InputError as error:  # too few usable channels: a missed window, counted by the tracker
                 pose, swing, self._miss = None, None, str(error)
             if pose is not None and not isinstance(pose, Pose):
@@ -380,10 +383,12 @@ class Loop:
             self._record_motion_model(shot.end)
         if self.tracker.misses == 0:
             self._miss = ""
-            if self.channels is not None:
+            if self.channels is not None and pose is not None:
                 self.channels.gate.accept()
-        elif pose is not None and pose.trusted and not self.independent:
-            pose, self._miss = replace(pose, trusted=False), "the pose does not agree with the track"
+        elif pose is not None and pose.trusted and tracked is not None and not self.independent:
+            objection = find_gross_error(pose, tracked, along_cantilever=self.localizer.device.along_cantilever)
+            if objection:
+                pose, self._miss = replace(pose, trusted=False), objection
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.predict(*self.tracker.motion)
         learns = not self.independent and tracked is not None and tracked.trusted
@@ -405,13 +410,12 @@ class Loop:
         status = self.rig.status_line if isinstance(self.rig, StatusReporter) else ""
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - received), ended, status)
 
-    def _locate(self, shot: Shot, recording: Recording, prior: Pose | None) -> tuple[Pose, Oscillation | None]:
+    def _locate(self, recording: Recording, prior: Pose | None) -> tuple[Pose, Oscillation | None]:
         """Locate in a recording, with the sensors that agree with each other."""
         watch, tracker = self.channels, self.tracker
         if watch is None:
             return self.localizer.locate_swing(recording, prior)
         predicted = tracker.pose_at(recording.middle) if tracker.confirmed and not self.independent else None
-        watch.gate.add_shot(shot, None if predicted is None else predicted.position)
         found = watch.locate(self.localizer, recording, prior, predicted)
         self._miss = found.reason
         for what, detail in watch.take_events():
@@ -465,9 +469,10 @@ class Loop:
         """Record when the signal gets lost, with the reason, and when it is back."""
         if shot.listen is None:
             return
-        if self.tracker.misses:
+        searched = self.independent and pose is not None and pose.trusted  # found again, but not yet a measurement
+        if self.tracker.misses and not searched:
             self._miss = self._miss or describe_miss(pose)
-            if not self._lost and ended - self._found >= NOTED_LOSS and self.tracker.pose is not None:
+            if not self._lost and ended - self._found >= NOTED_LOSS and self._found > self._started:
                 self._lost = self._miss
                 self._record_event(ended, "signal lost", {"since_s": round(self._found, 3), "reason": self._lost})
             return
@@ -485,7 +490,7 @@ class Loop:
         now, rules = self.rig.now(), self.rules
         lost_for = now - self._found
         if self.tracker.misses >= rules.max_lost_shots and lost_for >= rules.max_lost_time:
-            why = "the signal was never found" if self.tracker.pose is None else "the signal was lost"
+            why = "the signal was lost" if self._found > self._started else "the signal was never found"
             cause = f"; the last one: {self._miss}" if self._miss else ""
             count = self.tracker.misses
             if self.scheduler.blind:  # the world has failed, not the search

@@ -34,6 +34,9 @@ MIN_SIGMAS = 5.0
 MIN_RIVAL_SIGMAS = 3.0
 """Standard deviations from which a sensor is tried at all, and below which one that was left out agrees again."""
 
+MAX_MEAN_SIGMAS = 1.5
+"""Mean deviation, in standard deviations, up to which a sensor agrees again: about 0.9 where it works."""
+
 MIN_RIVAL_SHARE = 0.7
 """Deviation of another sensor, relative to the largest, from which it may be the one that has failed."""
 
@@ -72,10 +75,24 @@ _DISAGREES = "disagrees with the other sensors"
 
 @dataclass
 class _Doubt:
-    """A sensor that is left out: how many windows in a row it must agree, and how many it has."""
+    """A sensor that is left out: windows in a row in which it must agree, and has, and its deviations in them."""
 
     needed: int
     agreed: int = 0
+    sigmas: float = 0.0
+
+    def add(self, sigmas: float) -> bool:
+        """Add a window; return whether the sensor agrees again."""
+        if not -np.inf < sigmas < MIN_RIVAL_SIGMAS:
+            self.agreed, self.sigmas = 0, 0.0
+            return False
+        self.agreed, self.sigmas = self.agreed + 1, self.sigmas + sigmas
+        if self.agreed < self.needed:
+            return False
+        if self.sigmas < MAX_MEAN_SIGMAS * self.agreed:
+            return True
+        self.agreed, self.sigmas = 0, 0.0
+        return False
 
 
 @dataclass(frozen=True)
@@ -131,6 +148,8 @@ class ChannelWatch:
     Attributes
     ----------
     gate : PoseGate
+    checks_signals : bool
+        Whether the sensors check each other.
     """
 
     def __init__(
@@ -146,7 +165,7 @@ class ChannelWatch:
         self.gate = gate
         self._events: list[tuple[str, dict[str, object]]] = []
         self._frames = frames
-        self._checks = covariance is not None
+        self.checks_signals = covariance is not None
         self._covariance = np.zeros((0, 0)) if covariance is None else covariance
         self._may_leave_out = may_leave_out
         self._max_windows = max_windows
@@ -212,7 +231,7 @@ class ChannelWatch:
             suspicious = bool(objection) or prior is None or _is_suspicious(swing)
         found = Located(pose, swing)
         if (
-            self._checks
+            self.checks_signals
             and suspicious
             and isinstance(localizer, Localizer)
             and isinstance(swing, Swing)
@@ -316,7 +335,7 @@ class ChannelWatch:
         applied : ndarray, shape (6 * n_sensors + 2,)
             Deviations that the fit has taken into account.
         """
-        if not self._checks:
+        if not self.checks_signals:
             return
         self._information = MEMORY * self._information + terms.information
         self._right = MEMORY * self._right + terms.right + terms.information @ applied
@@ -376,8 +395,7 @@ class ChannelWatch:
             with_it = _mask(recording, self._as_mask([other for other in self._doubts if other != channel]))
             problem = localizer.prepare(with_it, localizer.free_trend(with_it))
             sigmas = swing.check_channels(self._frames, self._covariance, problem).sigmas
-            doubt.agreed = doubt.agreed + 1 if -np.inf < sigmas[channel] < MIN_RIVAL_SIGMAS else 0
-            if doubt.agreed >= doubt.needed:
+            if doubt.add(float(sigmas[channel])):
                 del self._doubts[channel]
                 self._events.append(("sensor used again", {"sensor": channel}))
 

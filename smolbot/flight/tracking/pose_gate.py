@@ -10,6 +10,7 @@ from lookup_tables.errors import OutsideTableError
 from lookup_tables.table import FieldTable
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
+from smolbot.core.rotations import choose_nearer_orientation, compute_rotation_error
 from smolbot.core.shots import Actuate, Rotate, Shot
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
@@ -29,6 +30,10 @@ MAGNET_MOVE = 2e-3
 
 MIN_SIGMAS = 5.0
 """Standard deviations by which a pose must be too far away."""
+
+GROSS_DISTANCE, GROSS_TURN = 1.5e-3, math.radians(60.0)
+"""Distance, in m, and angle, in rad, from the track beyond which a pose that the tracker rejects is wrong, and not just
+uncertain."""
 
 Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
 
@@ -125,3 +130,29 @@ class PoseGate:
                 steepest = float(np.linalg.norm(np.tensordot(np.array(window.currents), gradients, axes=1), 2))
                 step += robot.moment * steepest / robot.drag * window.duration
         return SPEED_FACTOR * step
+
+
+def find_gross_error(pose: Pose, tracked: Pose, *, along_cantilever: bool) -> str:
+    """Find whether a pose that the tracker has rejected is far from the track, such as one turned the wrong way round.
+
+    Parameters
+    ----------
+    pose : Pose
+    tracked : Pose
+        At the same time.
+    along_cantilever : bool
+        Whether the device's moment lies along its cantilever, so that half a turn about it is no error.
+
+    Returns
+    -------
+    str
+        How far it is; empty if it is near.
+    """
+    distance = float(np.linalg.norm(pose.position - tracked.position))
+    orientation = pose.orientation
+    if along_cantilever:
+        orientation = choose_nearer_orientation(orientation, tracked.orientation)
+    turn = float(np.linalg.norm(compute_rotation_error(orientation, tracked.orientation)))
+    if distance <= GROSS_DISTANCE and turn <= GROSS_TURN:
+        return ""
+    return f"the pose is {1e3 * distance:.1f} mm and {math.degrees(turn):.0f}° from the track, which rejects it"
