@@ -92,7 +92,7 @@ class Tank:
             )
             self._plant_faults = PlantFaults(self.faults, rig, robot, settings, self.truth)
             if self._plant_faults.changes_drag and not isinstance(self.carrier, Immersed):
-                raise InputError(f"--fault: robot '{robot.name}' of kind '{robot.kind}' has no drag that could change.")
+                raise InputError(f"--fault: '{robot.name}' of kind '{robot.kind}' has no drag that could change.")
         self._step = settings.physics_step
         self._low, self._high = find_magnet_volume(rig)
         self._state = np.zeros(STATE_LENGTH)
