@@ -93,7 +93,7 @@ class Tank:
             self._plant_faults = PlantFaults(self.faults, rig, robot, settings, self.truth)
             if self._plant_faults.changes_liquid and not isinstance(self.carrier, Immersed):
                 raise InputError(
-                    f"--fault: '{robot.name}' of kind '{robot.kind}' swims in no liquid that could change."
+                    f"--fault: robot '{robot.name}' of kind '{robot.kind}' swims in no liquid that could change."
                 )
         self._step = settings.physics_step
         self._low, self._high = find_magnet_volume(rig)

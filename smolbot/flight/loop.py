@@ -46,7 +46,8 @@ LOST_SIGNALS = "lost_signals"
 """Key of losses of the signal among what a run has recovered from."""
 
 NOTED_LOSS = 1.0
-"""Time without an accepted pose, in s, from which the record says that the signal is lost: a few outliers are none."""
+"""Time without an accepted pose, in s, from which the record says that the signal is lost, once it is searched for: a
+few outliers are none, nor is the minute in which a magnet turns a helix."""
 
 MIN_HEARD = 0.5
 """Share of a signal that a fit must explain for the device to have been heard at all: less is background noise."""
@@ -472,7 +473,8 @@ class Loop:
         searched = self.independent and pose is not None and pose.trusted  # found again, but not yet a measurement
         if self.tracker.misses and not searched:
             self._miss = self._miss or describe_miss(pose)
-            if not self._lost and ended - self._found >= NOTED_LOSS and self._found > self._started:
+            long = ended - self._found >= NOTED_LOSS and self.tracker.misses >= self.scheduler.max_misses
+            if long and not self._lost and self._found > self._started:
                 self._lost = self._miss
                 self._record_event(ended, "signal lost", {"since_s": round(self._found, 3), "reason": self._lost})
             return
