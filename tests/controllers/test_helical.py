@@ -16,6 +16,7 @@ from smolbot.flight.pilots import Follower
 from smolbot.motion import helix_kernels as kernels
 from smolbot.motion.controller import Command
 from smolbot.paths.curve import Curve
+from smolbot.paths.visits import compute_visited_share
 from tests.conftest import mission_of
 
 KNOWN = np.diag([5e-5] * 3 + [5e-3] * 3) ** 2
@@ -83,6 +84,49 @@ def test_it_reaches_the_end_of_the_s_within_the_path_and_the_stages_limits():
         assert setup().limits.faults(shot) == []
     end = world.pose.position
     assert np.linalg.norm(end[:2] - mission().path.points[-1, :2]) < 1.2e-3
+
+
+def figure_eight():
+    a = np.linspace(0.0, 2.0 * np.pi, 121)
+    return np.column_stack([10.0 * np.sin(2.0 * a), 17.0 * np.sin(a)])
+
+
+def circle_twice():
+    a = np.linspace(0.0, 4.0 * np.pi, 241)
+    return 8.0 * np.column_stack([np.cos(a), np.sin(a)])
+
+
+@pytest.mark.parametrize("shape", [figure_eight, circle_twice])
+def test_a_path_that_crosses_or_repeats_itself_is_screwed_along_whole_and_in_order(shape):
+    flat = 1e-3 * shape()
+    path = Curve(np.column_stack([flat, np.full(len(flat), 0.0495)]))
+    world = World(path)
+    trail = [world.pose.position]
+    controller = Helical(setup(), {})
+    controller.reset(path, world.pose)
+    for _ in range(400):
+        command = controller.command(world.pose)
+        if command.done or command.stuck:
+            break
+        if command.mechanical:
+            before = world.pose
+            world.play(command.mechanical)
+            trail += [
+                setup().helix.carry(command.mechanical[:i], before.position, before.orientation)[0]
+                for i in range(2, len(command.mechanical) + 1)
+            ]
+    assert command.done
+    assert compute_visited_share(path, np.array(trail), 1.2e-3) > 0.99
+
+
+def test_a_pose_far_from_everything_ends_nothing():
+    controller, world = Helical(setup(), {"listens": 1}), World(line())
+    controller.reset(line(), world.pose)
+    assert controller.command(world.pose).mechanical
+    controller.command(world.pose)
+    for far in ([1.0, 1.0, 1.0], [-0.3, 0.0, -0.2]):
+        assert not controller.command(pose_of(far, 0.0)).done
+        controller.command(pose_of(far, 0.0))
 
 
 def test_every_maneuver_fetches_the_magnet_and_takes_it_away_and_is_followed_by_a_pause():

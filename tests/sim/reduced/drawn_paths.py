@@ -1,7 +1,8 @@
 """Drawn paths that cross themselves, flown by each law: ``python -m tests.sim.reduced.drawn_paths [LAW …]``.
 
 Prints, for each path and law, what `preview` says, and of the flight its verdict, the share of the path that was
-visited in order, and the tracking error. Flights are those of the reduced plant: motion, with pose noise in place of signals.
+visited in order, and the tracking error. Flights are those of the reduced plant: motion, with pose noise in place of
+signals.
 """
 
 from __future__ import annotations
