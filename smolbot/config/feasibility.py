@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from smolbot.config.document import Fault
+from smolbot.config.drive_feasibility import find_drive_faults
 from smolbot.config.mission_base import MissionBase
 from smolbot.config.rig import RigConfig
-from smolbot.config.sensor_feasibility import find_saturation_faults, find_sensor_faults
+from smolbot.config.sensor_feasibility import find_range_faults, find_sensor_faults
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import matrix_from_quaternion, quaternion_from_axes
@@ -47,16 +48,17 @@ def find_fitness_faults(mission: MissionBase, path: Curve, start: Point, toleran
     list of Fault
         Empty if there is none.
     """
-    return [
+    arc = np.linspace(0.0, path.length, N_PATH_POINTS)
+    points, headings = path.at(arc), _compute_headings(path, arc)
+    faults = [
         *_find_container_faults(mission, path, start),
         *(_find_table_faults(mission, path, start) if mission.robot.kind == "gradient" else ()),
         *_find_limit_faults(mission),
-        *(
-            find_sensor_faults(mission)
-            or find_saturation_faults(mission, path.at(np.linspace(0.0, path.length, N_PATH_POINTS)))
-            or _find_tolerance_faults(mission, path, tolerance)
-        ),
+        *(find_sensor_faults(mission) or find_range_faults(mission, points, headings)),
+        *find_drive_faults(mission, points, headings),
     ]
+    # the bound of a window longer than the rig may listen could take minutes
+    return faults or _find_tolerance_faults(mission, path, tolerance)
 
 
 def find_listening_faults(mission: MissionBase) -> list[Fault]:
@@ -79,6 +81,12 @@ def _find_container_faults(mission: MissionBase, path: Curve, start: Point) -> l
     margin = 0.5e3 * math.hypot(*sorted(mission.robot.size)[1:])  # it may lie at any angle
     low = np.array(box.center_mm) - 0.5 * np.array(box.size_mm) + margin
     high = np.array(box.center_mm) + 0.5 * np.array(box.size_mm) - margin
+    if np.any(low > high):
+        width, depth = box.size_mm
+        message = (
+            f"the container of {width:g} x {depth:g} mm is too small for this robot, which needs {2 * margin:.1f} mm."
+        )
+        return [Fault(("rig",), message)]
     room = f"the robot's centre can go from ({low[0]:.1f}, {low[1]:.1f}) to ({high[0]:.1f}, {high[1]:.1f}) mm"
     faults = []
     for key, points in (("path", path.points[:, :2] * 1e3), ("start", 1e3 * np.array([start]))):
@@ -190,9 +198,13 @@ def compute_covariances_along(mission: MissionBase, path: Curve, arc: FloatArray
     ndarray, shape (n, 6, 6), in m and rad
         Position, then rotation, in the world frame.
     """
+    return compute_expected_covariances(mission, path.at(arc), _compute_headings(path, arc))
+
+
+def _compute_headings(path: Curve, arc: FloatArray) -> list[FloatArray]:
+    """Compute the orientations of a robot that heads along the path, as unit quaternions."""
     up = np.array([0.0, 0.0, 1.0])
-    headings = [quaternion_from_axes(heading, up, "zy") for heading in path.tangent(arc)]
-    return compute_expected_covariances(mission, path.at(arc), headings)
+    return [quaternion_from_axes(heading, up, "zy") for heading in path.tangent(arc)]
 
 
 def compute_expected_covariances(
