@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from smolbot.config.document import Fault
+from smolbot.config.drive_feasibility import find_drive_faults
 from smolbot.config.mission_base import MissionBase
 from smolbot.config.rig import RigConfig
-from smolbot.config.sensor_feasibility import find_saturation_faults, find_sensor_faults
+from smolbot.config.sensor_feasibility import find_range_faults, find_sensor_faults
 from smolbot.core.arrays import FloatArray
 from smolbot.core.drive import compute_drive
 from smolbot.core.pose import Pose
@@ -56,16 +57,17 @@ def find_fitness_faults(mission: MissionBase, path: Curve, start: Point, toleran
     list of Fault
         Empty if there is none.
     """
-    return [
+    arc = np.linspace(0.0, path.length, N_PATH_POINTS)
+    points, headings = path.at(arc), _compute_orientations(mission, path, arc)
+    faults = [
         *_find_container_faults(mission, path, start),
         *(_find_table_faults(mission, path, start) if mission.robot.kind == "gradient" else ()),
         *_find_limit_faults(mission),
-        *(
-            find_sensor_faults(mission)
-            or find_saturation_faults(mission, path.at(np.linspace(0.0, path.length, N_PATH_POINTS)))
-            or _find_tolerance_faults(mission, path, tolerance)
-        ),
+        *(find_sensor_faults(mission) or find_range_faults(mission, points, headings)),
+        *find_drive_faults(mission, points, headings),
     ]
+    # the bound of a window longer than the rig may listen could take minutes
+    return faults or _find_tolerance_faults(mission, path, tolerance)
 
 
 def find_listening_faults(mission: MissionBase) -> list[Fault]:
@@ -88,6 +90,12 @@ def _find_container_faults(mission: MissionBase, path: Curve, start: Point) -> l
     margin = 0.5e3 * math.hypot(*sorted(mission.robot.size)[1:])  # it may lie at any angle
     low = np.array(box.center_mm) - 0.5 * np.array(box.size_mm) + margin
     high = np.array(box.center_mm) + 0.5 * np.array(box.size_mm) - margin
+    if np.any(low > high):
+        width, depth = box.size_mm
+        message = (
+            f"the container of {width:g} x {depth:g} mm is too small for this robot, which needs {2 * margin:.1f} mm."
+        )
+        return [Fault(("rig",), message)]
     room = f"the robot's centre can go from ({low[0]:.1f}, {low[1]:.1f}) to ({high[0]:.1f}, {high[1]:.1f}) mm"
     faults = []
     for key, points in (("path", path.points[:, :2] * 1e3), ("start", 1e3 * np.array([start]))):
@@ -223,10 +231,7 @@ def compute_states_along(
         At the end of the excitation, by the coils' nominal field.
     """
     device, cycle, points = mission.robot.device, mission.cycle, path.at(arc)
-    if mission.robot.kind == "gradient":
-        orientations = [compute_swimming_orientation(device, ahead) for ahead in path.tangent(arc)]
-    else:
-        orientations = [quaternion_from_axes(ahead, UP, "zy") for ahead in path.tangent(arc)]
+    orientations = _compute_orientations(mission, path, arc)
     fields = np.stack([coil.field(points) for coil in mission.rig.flat_coils()], axis=1)
     inertia = compute_magnet_inertia(device.moment, device.l0)
     poses = [Pose(0.0, at, q, np.eye(6)) for at, q in zip(points, orientations, strict=True)]
@@ -235,6 +240,13 @@ def compute_states_along(
         for field, pose in zip(fields, poses, strict=True)
     ]
     return points, orientations, np.array([max(drive.amplitude, MIN_AMPLITUDE) for drive in drives])
+
+
+def _compute_orientations(mission: MissionBase, path: Curve, arc: FloatArray) -> list[FloatArray]:
+    """Compute the orientations of a robot that heads along the path, as unit quaternions."""
+    if mission.robot.kind == "gradient":
+        return [compute_swimming_orientation(mission.robot.device, ahead) for ahead in path.tangent(arc)]
+    return [quaternion_from_axes(ahead, UP, "zy") for ahead in path.tangent(arc)]
 
 
 def compute_swimming_orientation(device: Device, ahead: FloatArray) -> FloatArray:

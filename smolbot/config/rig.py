@@ -104,6 +104,12 @@ class RigConfig:
         section = self.sections.sensors
         return min(section.range, section.adc_range_v / section.volts_per_tesla)
 
+    @property
+    def converter_step(self) -> float:
+        """Smallest step of the analog-to-digital converter, in T."""
+        section = self.sections.sensors
+        return 2.0 * section.adc_range_v / section.volts_per_tesla / 2**section.adc_bits
+
     @cached_property
     def limits(self) -> Limits:
         """Limits of coils, timing and magnet, in SI units."""

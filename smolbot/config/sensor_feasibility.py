@@ -7,13 +7,18 @@ import numpy as np
 from smolbot.config.document import Fault
 from smolbot.config.mission_base import MissionBase
 from smolbot.core.arrays import BoolArray, FloatArray
+from smolbot.core.sensing import PRIOR_AMPLITUDE
 from smolbot.localization.chain import MEAN_WINDOW
+from smolbot.localization.forward import compute_envelope, compute_sensor_field
 from smolbot.localization.noise.model import MIN_SEGMENTS
 from smolbot.localization.noise.spectra import SEGMENT
 from smolbot.localization.problem import MIN_OUTPUTS
 
 MU_0 = 4e-7 * np.pi
 """Magnetic constant, in T·m/A."""
+
+MIN_STEPS = 4.0
+"""Steps of the converter that a swing must span to be a sine and not a square wave."""
 
 SAME_AXIS = np.cos(np.radians(2.0))
 """Cosine above which two sensors have the same axis."""
@@ -83,14 +88,16 @@ def _find_quiet_faults(mission: MissionBase) -> list[Fault]:
     return []
 
 
-def find_saturation_faults(mission: MissionBase, points: FloatArray) -> list[Fault]:
-    """Find where the robot's own magnet saturates so many sensors that the others give no pose.
+def find_range_faults(mission: MissionBase, points: FloatArray, orientations: list[FloatArray]) -> list[Fault]:
+    """Find where too few sensors give a pose: the robot's magnet saturates them, or its swing is lost in the converter.
 
     Parameters
     ----------
     mission : MissionBase
     points : ndarray, shape (n, 3), in m
         Places of the robot, in the world frame.
+    orientations : list of ndarray, shape (4,)
+        Unit quaternions, one for each point.
 
     Returns
     -------
@@ -108,6 +115,31 @@ def find_saturation_faults(mission: MissionBase, points: FloatArray) -> list[Fau
                 f"at ({x:.1f}, {y:.1f}, {z:.1f}) mm the robot's magnet saturates {int(np.sum(~usable))} of "
                 f"{len(usable)} sensors, with up to {1e6 * size.max():.1f} µT each; they measure up to "
                 f"{1e6 * rig.sensor_range:g} µT. Move them away, or choose a larger range."
+            )
+            return [Fault(("rig",), message)]
+    return _find_converter_faults(mission, points, orientations)
+
+
+def _find_converter_faults(mission: MissionBase, points: FloatArray, orientations: list[FloatArray]) -> list[Fault]:
+    """Find where the swing is not seen over the converter's steps, which are also coarser than the sensors' noise.
+
+    Steps are white noise of density step / sqrt(6 rate) only while other noise is larger.
+    """
+    rig, device = mission.rig, mission.robot.device
+    step = rig.converter_step
+    if step / np.sqrt(6.0 * rig.sample_rate) <= rig.sections.noise.floor:
+        return []
+    envelope = compute_envelope(device, np.array([mission.cycle.ring_down]))
+    swing = PRIOR_AMPLITUDE * device.theta_max * float(envelope[0]) * np.array([-1.0, 1.0])
+    for point, orientation in zip(points, orientations, strict=True):
+        heard = np.ptp(compute_sensor_field(rig.sensors, device, point, orientation, swing), axis=1)
+        clear = int(np.sum(heard > MIN_STEPS * step))
+        if clear < MIN_OUTPUTS:
+            x, y, z = 1e3 * point
+            message = (
+                f"at ({x:.1f}, {y:.1f}, {z:.1f}) mm the device's swing spans {MIN_STEPS:g} steps of the converter in "
+                f"{clear} of {len(heard)} sensors; a pose needs {MIN_OUTPUTS}. A step is {1e9 * step:.2g} nT: choose "
+                "more adc_bits or a smaller adc_range_v."
             )
             return [Fault(("rig",), message)]
     return []

@@ -211,7 +211,6 @@ class Draw:
                 self.defs.append(body.replace("<", f'<g id="{name}"><', 1) + "</g>")
                 return f'<use {href}="#{name}" x="{self.length(-9, 9)}" y="4" {self.turned()}/>'
             case "symbol":
-                fit = fit.replace("slice", "meet")  # Chromium cuts a sliced symbol although its overflow is visible
                 self.defs.append(
                     f'<symbol overflow="visible" id="{name}" {view} {fit} {self.pick("", size)}>{body}</symbol>'
                 )
@@ -249,6 +248,8 @@ def browser() -> Iterator[Browser]:
     if lack:
         pytest.skip(lack)
     with Browser(900, 560) as found:
+        window = {"width": PAGE, "height": PAGE, "deviceScaleFactor": ZOOM, "mobile": False}
+        found.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", window)
         yield found
 
 
@@ -262,8 +263,7 @@ def render(browser: Browser, drawing: str, folder: Path) -> FloatArray:
         f"</style></head><body><div>{drawing}</div></body></html>"
     )
     browser.driver.get(page.as_uri())
-    clip = {"x": 0, "y": 0, "width": PAGE, "height": PAGE, "scale": ZOOM}
-    shot = browser.driver.execute_cdp_cmd("Page.captureScreenshot", {"clip": clip, "captureBeyondViewport": True})
+    shot = browser.driver.execute_cdp_cmd("Page.captureScreenshot", {})
     picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(shot["data"]))).convert("L"))
     rows, columns = np.nonzero(picture < 128)
     assert len(rows), "nothing is seen"
