@@ -11,7 +11,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.sensing import Device
 from smolbot.core.shots import Shot
-from smolbot.flight.tracking.tracker import State, Tracker
+from smolbot.flight.tracking.tracker import GATE, GATE_PER_DEGREE, State, Tracker
 from smolbot.motion.gradient import advance
 from smolbot.motion.robot import Robot
 
@@ -29,8 +29,15 @@ DRIFT_STD, DRIFT_NOISE_DENSITY = np.array([5e-4, 5e-4, 5e-5]), np.array([5e-5, 5
 """Initial standard deviation of the drift per axis (m/s), and its process noise (m/s per square root of a second): a
 current that moves a robot off its path within seconds. The surface holds the height."""
 
+LEARNED_MOTION_ERROR_SHARE = 0.15
+"""Standard deviation of a step that is predicted with learned gains, as a share of it: errors of its direction."""
+
 MAX_INNOVATION_SCALE = 4.0
 """Average squared innovation over the expected one above which gains and drift have changed, and are learned anew."""
+
+GAIN_TOLERANCES, DRIFT_TOLERANCE = (0.1, 0.05), 5e-5
+"""What an assumed model may be off by without harm, as standard deviations: gains, in common and of each coil, and the
+drift (m/s)."""
 
 GAIN_STEP = 0.02
 """Change of a gain for a derivative by finite differences."""
@@ -71,17 +78,21 @@ class MotionLearningTracker(Tracker):
     """
 
     _state: LearnedState | None
+    _motion_error_share = LEARNED_MOTION_ERROR_SHARE
 
     def __init__(self, robot: Robot | None, device: Device, table: FieldTable | None) -> None:
         super().__init__(robot, device, table)
         n = 0 if table is None else table.n_coils
-        self._gain_prior, self._gain_noise = (
+        self._gain_prior, self._gain_noise, tolerated = (
             common**2 * np.ones((n, n)) + own**2 * np.eye(n)
             for common, own in (
                 (COMMON_GAIN_STD, OWN_GAIN_STD),
                 (COMMON_GAIN_NOISE_DENSITY, OWN_GAIN_NOISE_DENSITY),
+                GAIN_TOLERANCES,
             )
         )
+        self._tolerated = np.zeros((2 + n, 2 + n))
+        self._tolerated[:2, :2], self._tolerated[2:, 2:] = DRIFT_TOLERANCE**2 * np.eye(2), tolerated
         self._slopes = np.zeros((2, n))
 
     @property
@@ -93,6 +104,17 @@ class MotionLearningTracker(Tracker):
     def gains(self) -> FloatArray:
         """Factors (n_coils,) on the currents, as learned."""
         return super().gains if self._state is None else self._state.gains.copy()
+
+    @property
+    def deviates(self) -> bool:
+        """Whether gains and drift are surely farther from 1 and 0 than an assumed model may be off."""
+        state = self._state
+        if state is None:
+            return False
+        off = np.concatenate([state.drift[:2], state.gains - 1.0])
+        of_motion = np.r_[7:9, _FIRST : _FIRST + len(state.gains)]
+        covariance = state.covariance[np.ix_(of_motion, of_motion)] + self._tolerated
+        return float(off @ np.linalg.solve(covariance, off)) > GATE + GATE_PER_DEGREE * (len(off) - 6)
 
     def _begin(self, pose: Pose) -> None:
         before = self._state

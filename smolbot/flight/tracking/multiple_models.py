@@ -20,8 +20,8 @@ EVIDENCE_KEPT = 0.95
 MAX_EVIDENCE_PER_POSE = 6.0
 """Largest log-likelihood ratio of one pose, so that no outlier decides alone."""
 
-SWITCH_EVIDENCE = 8.0
-"""Log-likelihood ratio at which the assumed model is given up: odds of 3000 to 1. It never counts for more than this in
+SWITCH_EVIDENCE = 14.0
+"""Log-likelihood ratio at which the assumed model is given up: odds of a million to 1. No more than this ever counts in
 favour of the assumed model, so that a change is noticed soon after a long flight without one."""
 
 
@@ -35,7 +35,8 @@ class MultipleModelTracker(Tracker):
 
     with the squared Mahalanobis distance d^2 of a pose and the covariance S of the innovation. A robot that moves as
     assumed is tracked by the assumed model. Where its drag, a coil or the liquid's flow differ, the learning tracker
-    predicts better within some poses, and is used until the end: it can learn to move as assumed, too.
+    predicts better within some poses, or has learned surely that they do; it is then used until the end, since it can
+    learn to move as assumed, too.
 
     Parameters
     ----------
@@ -75,12 +76,12 @@ class MultipleModelTracker(Tracker):
         return self._used.pose
 
     def _weigh(self) -> None:
-        """Add the evidence of the last pose; give the assumed model up if it suffices."""
+        """Add the evidence of the last pose, and give the assumed model up if it does not hold."""
         ratio = self._learning.compute_log_likelihood() - self._assuming.compute_log_likelihood()
         if math.isfinite(ratio):
             ratio = min(max(ratio, -MAX_EVIDENCE_PER_POSE), MAX_EVIDENCE_PER_POSE)
             self._evidence = max(EVIDENCE_KEPT * self._evidence + ratio, -SWITCH_EVIDENCE)
-        if self._evidence > SWITCH_EVIDENCE:
+        if self._evidence > SWITCH_EVIDENCE or self._learning.deviates:
             self._used = self._learning
 
     def pose_at(self, time: float) -> Pose:

@@ -136,6 +136,8 @@ class Tracker:
     True
     """
 
+    _motion_error_share = MOTION_ERROR_SHARE
+
     def __init__(self, robot: Robot | Helix | None, device: Device, table: FieldTable | None) -> None:
         self._robot = robot
         self._device = device
@@ -339,7 +341,7 @@ class Tracker:
         here = field[:, 0], gradient[:, 0], np.array(window.currents), heading, window.duration
         step, turn = self._compute_motion(robot, *here)
         position[:2] += step
-        noise[:2] += MOTION_ERROR_SHARE**2 * (step[0] * step[0] + step[1] * step[1])
+        noise[:2] += self._motion_error_share**2 * (step[0] * step[0] + step[1] * step[1])
         noise[5] += (MOTION_ERROR_SHARE * turn) ** 2
         noise[5] += compute_turn_variance(robot, *here, state.covariance[5, 5])
         return multiply_quaternions(quaternion_from_rotation_vector(np.array([0.0, 0.0, turn])), orientation)
