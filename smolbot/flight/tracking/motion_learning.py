@@ -35,7 +35,7 @@ LEARNED_MOTION_ERROR_SHARE = 0.15
 MAX_INNOVATION_SCALE = 4.0
 """Average squared innovation over the expected one above which gains and drift have changed, and are learned anew."""
 
-GAIN_TOLERANCES, DRIFT_TOLERANCE = (0.1, 0.05), 5e-5
+GAIN_TOLERANCES, DRIFT_TOLERANCE = (0.15, 0.1), 8e-5
 """What an assumed model may be off by without harm, as standard deviations: gains, in common and of each coil, and the
 drift (m/s)."""
 

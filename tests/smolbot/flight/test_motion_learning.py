@@ -79,7 +79,7 @@ def test_a_robot_that_moves_otherwise_is_soon_tracked_better_than_by_its_poses_a
     assuming, models = trackers()
     errors, (_, doubted) = TrueRobot(gains, drift, seed).track(assuming, models)
     assert doubted is not None
-    assert doubted < 45  # 4 s
+    assert doubted < 70  # 6 s: a flow takes longest, since a tracker without gains learns a drift, too
     raw, believing, learning = np.mean(errors[10:], axis=0)
     assert learning < 0.95 * raw
     assert learning < believing
