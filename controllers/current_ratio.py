@@ -14,12 +14,14 @@ import numpy as np
 
 from controllers.pace import Pace
 from controllers.path_progress import PathProgress
+from controllers.table_edge import make_outside_command, move_into_table
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.shots import Actuate
 from smolbot.flight.scheduler import compute_actuation_time
 from smolbot.motion.controller import Command, ForceProfile, Gain, Phase, Setup, complete_gains
 from smolbot.paths.curve import Curve
+from smolbot.paths.visits import divide_path
 
 if TYPE_CHECKING:
     from lookup_tables import FieldTable
@@ -132,7 +134,7 @@ class CurrentRatio:
         self._sharp = float(np.radians(values["sharp_deg"]))
         self._spacing = values["spacing_mm"] * 1e-3
         self._rest = setup.cycle.duration(setup.device.frequency)
-        self._goals = np.zeros((0, 3))
+        self._goals, self._reach = np.zeros((0, 3)), np.zeros(0)
         self._paced: tuple[PathProgress, Pace] | None = None
         self._arc = np.zeros(0)
         self._next = 0
@@ -140,13 +142,19 @@ class CurrentRatio:
     def reset(self, path: Curve, pose: Pose) -> None:
         """Start a path: its first goal is the path's start.
 
+        A loop smaller than the tolerance has its goals closer to each other, to be reached within a share of its
+        radius: within the tolerance, the robot would reach all of them from outside the loop.
+
         Parameters
         ----------
         path : Curve
         pose : Pose
         """
-        self._arc = path.sampled(self._spacing)
+        cells = divide_path(path, self.setup.tolerance)
+        in_loop = cells.reach < self.setup.tolerance
+        self._arc = np.union1d(path.sampled(self._spacing), cells.arc[in_loop])
         self._goals = path.at(self._arc)
+        self._reach = cells.find_reach(self._arc)
         self._next = 0
         self._paced = None
         if path.speed is not None:
@@ -163,9 +171,13 @@ class CurrentRatio:
         -------
         Command
         """
-        while self._next < len(self._goals) and self._compute_distance(pose) <= self.setup.tolerance:  # Eq. S16
+        inside = move_into_table(self.setup.table, pose, self.setup.tolerance)
+        if inside is None:
+            return make_outside_command(pose, self._compute_progress(), "approach" if self._next == 0 else "follow")
+        pose = inside
+        while self._next < len(self._goals) and self._compute_distance(pose) <= self._reach[self._next]:  # Eq. S16
             self._next += 1
-        behind = float(self._arc[max(self._next - 1, 0)]) if len(self._arc) else 0.0
+        behind = self._compute_progress()
         if self._next >= len(self._goals):
             return Command(None, note="path's end reached", progress=behind, done=True)
         phase: Phase = "approach" if self._next == 0 else "follow"
@@ -214,6 +226,10 @@ class CurrentRatio:
         pull = float(compute_aligned_force(self.setup.table, currents, pose.position, robot.moment)[:2] @ direction)
         expected = pull / robot.drag * duration
         return 1.0 if expected <= stride else stride / expected
+
+    def _compute_progress(self) -> float:
+        """Compute the arc length, in m, of the last goal that was reached."""
+        return float(self._arc[max(self._next - 1, 0)]) if len(self._arc) else 0.0
 
     def _compute_distance(self, pose: Pose) -> float:
         return float(np.linalg.norm(self._goals[self._next][:2] - pose.position[:2]))

@@ -10,6 +10,7 @@ import numpy as np
 from controllers.force_allocator import Allocation, ForceAllocator, UnreachableForceError
 from controllers.pace import Pace
 from controllers.path_progress import PathProgress
+from controllers.table_edge import make_outside_command, move_into_table
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.shots import Actuate
@@ -85,6 +86,10 @@ class ForcePursuit:
         progress = self._progress
         if progress is None:
             raise InputError("force_pursuit has no path yet: call reset first.")
+        inside = move_into_table(self.setup.table, pose, self.setup.tolerance)
+        if inside is None:
+            return make_outside_command(pose, progress.progress, "approach" if progress.leg < 0 else "follow")
+        pose = inside
         progress.locate(pose.position, self._handover)
         if progress.done:
             return Command(None, note="path's end reached", progress=progress.progress, done=True)

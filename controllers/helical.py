@@ -24,6 +24,12 @@ RUNWAY = 15e-3
 MIN_TURNS = 2
 """Turns that a plan has at least, or pauses would never end."""
 
+SEARCH = 8e-3
+"""Widest search for the nearest place on the path, in m of arc length, behind and ahead of the last one."""
+
+STRETCH = 2.0
+"""Largest progress per distance moved, beside one advance per turn: on the inside of a bend a place runs ahead."""
+
 TURN_STEP = 0.25
 """Turns come in quarters: less than half a millimetre."""
 
@@ -83,6 +89,7 @@ class Helical:
         self._full = setup.limits.max_rotation_frequency
         self._points, self._arc, self._length = np.zeros((2, 2)), np.zeros(2), 0.0
         self._near, self._progress = 0.0, 0.0
+        self._place: FloatArray | None = None
         self._flown: _Maneuver | None = None
         self._heard, self._moving, self._seated = 0, False, False
         self._tried, self._blocked_at, self._frequency = 0, -math.inf, self._full
@@ -102,6 +109,7 @@ class Helical:
         self._arc = np.concatenate([[-RUNWAY], path.arc, [path.length + RUNWAY]])
         self._length = path.length
         self._near, self._progress, self._phase = 0.0, 0.0, "approach"
+        self._place = None
         self._flown, self._heard, self._moving, self._seated = None, 0, False, False
         self._tried, self._blocked_at, self._frequency = 0, -math.inf, self._full
 
@@ -159,10 +167,18 @@ class Helical:
         return f"{state}: {turns:g} turns at {legs[-1].frequency:.3g} Hz, {expected:.1f} mm"
 
     def _locate(self, state: FloatArray) -> None:
-        self._near, _, _ = kernels.find_nearest(self._points, self._arc, state[0], state[1], self._near, 8e-3)
+        moved = SEARCH if self._place is None else float(np.linalg.norm(state[:2] - self._place))
+        self._place = state[:2].copy()
+        self._near = self._find_place(state, self._near, moved)
         self._progress = max(self._progress, min(max(self._near, 0.0), self._length))
         if self._near > 0.0:
             self._phase = "follow"
+
+    def _find_place(self, state: FloatArray, before: float, moved: float) -> float:
+        """Find the arc length nearest to a state, no farther from the one before than the robot can have come."""
+        most = min(STRETCH * moved + self.setup.helix.advance, SEARCH)
+        place, _, _ = kernels.find_nearest(self._points, self._arc, state[0], state[1], before, most)
+        return min(max(float(place), before - most), before + most)
 
     def _evaluate_maneuver(self, state: FloatArray, pose: Pose) -> str:
         """Evaluate whether the robot followed the magnet; if so, learn from it. Return what happened, or ``''``."""
@@ -216,8 +232,9 @@ class Helical:
                 off = kernels.wrap_angle(course - at[kernels.COURSE])
                 course = at[kernels.COURSE] + min(max(off, -reach * turns), reach * turns)
             leg = Leg(float(course), 1.0, turns, self._frequency)
-            at = kernels.advance_screw(body, factors, at, leg.course, 1.0, turns, leg.frequency)
-            near, _, _ = kernels.find_nearest(self._points, self._arc, at[0], at[1], near, 8e-3)
+            after = kernels.advance_screw(body, factors, at, leg.course, 1.0, turns, leg.frequency)
+            near = self._find_place(after, near, float(np.linalg.norm(after[:2] - at[:2])))
+            at = after
             spread = self.model.predict_covariance(start, [*legs, leg], covariance)
             if len(legs) >= MIN_TURNS and 2.0 * math.sqrt(spread[1, 1]) > self._bound:
                 break
@@ -233,7 +250,7 @@ class Helical:
             after = kernels.advance_screw(
                 self.setup.helix.body, self.model.factors, at, course, 1.0, TURN_STEP * quarters, self._frequency
             )
-            place, _, _ = kernels.find_nearest(self._points, self._arc, after[0], after[1], near, 8e-3)
+            place = self._find_place(after, near, float(np.linalg.norm(after[:2] - at[:2])))
             ends.append(abs(self._length - place))
         return TURN_STEP * (1 + int(np.argmin(ends)))
 

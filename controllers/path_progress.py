@@ -11,14 +11,18 @@ from smolbot.motion.kernels import find_nearest
 from smolbot.paths.curve import Curve
 
 SEARCH_BACK, SEARCH_AHEAD = 2e-3, 4e-3
-"""Search range, in m of arc length, behind and ahead of the last position: strands of a letter cross."""
+"""Widest search, in m of arc length, behind and ahead of the last place: strands of a letter cross."""
+
+STRETCH = 2.0
+"""Largest progress per distance moved, beside the handover: on the inside of a bend a place on the path runs ahead."""
 
 
 class PathProgress:
     """A path cut into legs at its corners, and the robot's progress along it.
 
-    A leg is left when its end is within `handover`, or has been passed. On a closed path, the end counts as reached
-    only from the leg's own side.
+    A leg is left when its end is within `handover`, or has been passed. Progress counts by arc length, in order: from
+    one position to the next it changes by no more than `STRETCH` times the distance between them, and the handover.
+    So where the path crosses or touches itself, no piece of it is skipped, and its end counts only after the rest.
 
     Parameters
     ----------
@@ -51,6 +55,7 @@ class PathProgress:
         self.leg = -1
         self.arc_length = 0.0
         self.progress = 0.0
+        self._before: tuple[float, float] | None = None
 
     @property
     def length(self) -> float:
@@ -77,20 +82,23 @@ class PathProgress:
             Distance within which the end of a leg counts as reached.
         """
         x, y = float(position[0]), float(position[1])
+        moved = 0.0 if self._before is None else math.hypot(x - self._before[0], y - self._before[1])
+        self._before = x, y
         if self.leg < 0:
             if self._compute_distance(x, y, 0) > handover:
                 return
             self.leg = 0
+        most = STRETCH * moved + handover
+        back, farthest = min(most, SEARCH_BACK), self.arc_length + min(most, SEARCH_AHEAD)
         while not self.done:
             first, last = self.stops[self.leg], self.stops[self.leg + 1]
-            near = find_nearest(self.points, self.arc, first, last, self.arc_length, x, y, SEARCH_BACK, SEARCH_AHEAD)
-            self.arc_length = near[0]
+            ahead = farthest - self.arc_length
+            near = find_nearest(self.points, self.arc, first, last, self.arc_length, x, y, back, ahead)
+            self.arc_length = min(near[0], farthest)
             self.progress = max(self.progress, self.arc_length)
             end = float(self.arc[last])
             left = end - self.arc_length
-            close = self._compute_distance(x, y, last) <= handover and left <= max(
-                2 * handover, 0.5 * (end - self.arc[first])
-            )
+            close = self._compute_distance(x, y, last) <= handover and left <= 2 * handover and end <= farthest
             if not close and left > 1e-9:
                 return
             self.leg += 1

@@ -16,6 +16,7 @@ from controllers.heading_planner import HeadingPlanner
 from controllers.pace import Pace
 from controllers.path_progress import PathProgress
 from controllers.plan_starts import make_plan_starts
+from controllers.table_edge import make_outside_command, move_into_table
 from lookup_tables import OutsideTableError
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
@@ -197,6 +198,11 @@ class Predictive:
         progress = self._progress
         if progress is None:
             raise InputError("predictive has no path yet: call reset first.")
+        inside = move_into_table(self.setup.table, pose, self.setup.tolerance)
+        if inside is None:
+            self._planned = None
+            return make_outside_command(pose, progress.progress, "approach" if progress.leg < 0 else "follow")
+        pose = inside
         # 1. Compare the effect of the last window with its plan
         heading = self._compute_heading(pose)
         self._learn(pose, heading)

@@ -3,6 +3,8 @@
 from contextlib import closing
 from typing import ClassVar
 
+import numpy as np
+
 import smolbot
 from controllers import ForceAllocator, UnreachableForceError
 from smolbot import Actuate, Command, Gain
@@ -20,22 +22,26 @@ class Tug:
 
     def reset(self, path, pose):
         """Start a path."""
-        self.path, self.phase = path, "approach"  # first to the path's start
+        self.path, self.phase, self.arc = path, "approach", 0.0  # first to the path's start
 
     def command(self, pose):
         """Compute the currents of the next window."""
-        (arc,), (off,) = self.path.project(pose.position[None, :])
-        if off < self.setup.tolerance:
+        # search for the nearest place no farther ahead than it can have come in one cycle: a path may cross itself
+        places = np.linspace(self.arc, min(self.arc + 1e-3, self.path.length), 21)
+        off = np.linalg.norm((self.path.at(places) - pose.position)[:, :2], axis=1)
+        if off.min() < self.setup.tolerance:
             self.phase = "follow"
-        if self.phase == "follow" and self.path.length - arc < self.setup.tolerance:
+        if self.phase == "follow":
+            self.arc = float(places[np.argmin(off)])
+        if self.path.length - self.arc < self.setup.tolerance:
             return Command(None, note="path's end reached", progress=self.path.length, done=True)
-        goal = self.path.at(arc + self.ahead if self.phase == "follow" else 0.0)
+        goal = self.path.at(self.arc + self.ahead if self.phase == "follow" else 0.0)
         way = (goal - pose.position) * [1.0, 1.0, 0.0]
         try:
             currents = self.coils.currents(pose.position, way, 100e-6)  # N
         except UnreachableForceError as error:  # nothing pulls there: report it, and only record in this cycle
-            return Command(None, saturated=True, note=str(error), progress=arc, phase=self.phase)
-        return Command(Actuate(tuple(currents), 0.06), progress=arc, phase=self.phase)
+            return Command(None, saturated=True, note=str(error), progress=self.arc, phase=self.phase)
+        return Command(Actuate(tuple(currents), 0.06), progress=self.arc, phase=self.phase)
 
 
 mission = smolbot.load_mission("line")

@@ -14,12 +14,14 @@ from smolbot.config.path_section import PathSection, read_path
 from smolbot.config.plugins import list_plugins, load_plugin
 from smolbot.config.rig import RigConfig
 from smolbot.config.robot import RobotConfig
-from smolbot.config.units import Point, Positive
+from smolbot.config.units import Point, Positive, Share
+from smolbot.core.arrays import FloatArray
 from smolbot.errors import PluginError
 from smolbot.motion.controller import Gain, HelixSetup, Setup, find_gain_fault, robot_kinds
 from smolbot.motion.helix import Helix
 from smolbot.motion.robot import Robot
 from smolbot.paths.curve import Curve
+from smolbot.paths.visits import Visits, find_visits
 
 
 class StartSection(FileModel):
@@ -36,11 +38,26 @@ class ControllerSection(FileModel):
     gains: dict[str, float] = Field(default_factory=dict)
 
 
+VISIT_TOLERANCE_FACTOR = 1.5
+"""Distance from the path that counts as a visit, over that at which a law counts a goal as reached: a law knows the
+tracked pose only, whose error comes on top."""
+
+
 class VerdictSection(FileModel):
-    """Limits that a completed mission must keep to pass; checked where the ground truth is known."""
+    """Limits that a completed mission must keep to pass.
+
+    Attributes
+    ----------
+    mean_tracking_mm, mean_localization_mm : float
+        Largest mean errors; checked where the ground truth is known.
+    min_visited_share : float
+        Least share of the path that is visited in its order, within 1.5 times `tolerance_mm`: by the true robot where
+        the ground truth is known, else by the tracked one.
+    """
 
     mean_tracking_mm: Positive | None = None
     mean_localization_mm: Positive | None = None
+    min_visited_share: Share = 0.98
 
 
 class MissionFile(MissionBaseFile):
@@ -98,6 +115,44 @@ class Mission(MissionBase):
     def tolerance(self) -> float:
         """Distance at which a goal counts as reached, in m."""
         return self.sections.controller.tolerance_mm * 1e-3
+
+    @property
+    def visit_tolerance(self) -> float:
+        """Distance within which a place of the path counts as visited, in m."""
+        return VISIT_TOLERANCE_FACTOR * self.tolerance
+
+    def find_visits(self, positions: FloatArray) -> Visits:
+        """Find the parts of the path that a robot visited in order, within `visit_tolerance`.
+
+        Parameters
+        ----------
+        positions : ndarray, shape (n, 3), in m, world frame
+            In the order of time.
+
+        Returns
+        -------
+        Visits
+        """
+        return find_visits(self.path, positions, self.visit_tolerance)
+
+    def find_skip_fault(self, visits: Visits) -> str | None:
+        """Explain which part of the path a robot left out, against the limit of the verdict.
+
+        Parameters
+        ----------
+        visits : Visits
+            As of `find_visits`.
+
+        Returns
+        -------
+        str or None
+            None if enough of the path was visited.
+        """
+        least = self.sections.verdict.min_visited_share
+        if visits.share >= least:
+            return None
+        share = f"{100.0 * visits.share:.1f} % of the path visited in order, less than {100.0 * least:g} %"
+        return f"{share}; skipped {visits.describe_longest_skip(self.path)}"
 
     @property
     def law(self) -> str:

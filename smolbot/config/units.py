@@ -12,6 +12,7 @@ from smolbot.core.arrays import FloatArray
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
 Point = tuple[float, float]
 Vector = tuple[float, float, float]
 

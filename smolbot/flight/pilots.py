@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from numbers import Real
 from typing import Protocol
 
+from lookup_tables.errors import OutsideTableError
+from smolbot.core.pose import Pose
 from smolbot.core.shots import Actuate, Mechanical, Rotate, Shot
 from smolbot.errors import PluginError, report_plugin_errors
 from smolbot.flight.tracking.passive_trackers import SingleShotTracker
@@ -39,7 +42,8 @@ class Pilot(Protocol):
 class Follower:
     """Pilot that has a controller follow a path, once two poses have agreed.
 
-    A controller that is `PlaybackAware` is notified if its last command was not played.
+    A controller that is `PlaybackAware` is notified if its last command was not played. Where one asks the field table
+    for a place that it does not cover, nothing is driven until a pose is inside again.
 
     Parameters
     ----------
@@ -77,10 +81,6 @@ class Follower:
         if self._waiting is not None and shot.windows != self._waiting.mechanical:
             return self._waiting  # a pause or a search came first, so that the magnet still has to be moved
         pose = tracker.pose_at(shot.end)
-        if not self._begun:
-            with report_plugin_errors("Controller", self.controller, "reset"):
-                self.controller.reset(self.path, pose)
-            self._begun = True
         window = None if self._sent is None else self._sent.window
         unplayed = isinstance(window, Actuate) and window not in shot.windows
         if unplayed and isinstance(self.controller, PlaybackAware):
@@ -89,10 +89,23 @@ class Follower:
         if tracker.learned and isinstance(self.controller, MotionAware):
             with report_plugin_errors("Controller", self.controller, "adopt_motion"):
                 self.controller.adopt_motion(tracker.gains, tracker.drift)
-        with report_plugin_errors("Controller", self.controller, "command"):
-            command = self._sent = check_command(self.controller.command(pose), self.controller)
+        try:
+            command = self._ask(pose)
+        except OutsideTableError as error:
+            before = self._sent if self._sent is not None else Command(None, phase="approach")
+            command = replace(before, window=None, saturated=False, note=f"nothing is driven: {error}", event="")
+        self._sent = command
         self._waiting = command if command.mechanical else None
         return command
+
+    def _ask(self, pose: Pose) -> Command:
+        """Ask the controller for its command, once it has begun the path."""
+        if not self._begun:
+            with report_plugin_errors("Controller", self.controller, "reset"):
+                self.controller.reset(self.path, pose)
+            self._begun = True
+        with report_plugin_errors("Controller", self.controller, "command"):
+            return check_command(self.controller.command(pose), self.controller)
 
 
 def check_command(command: object, controller: object) -> Command:

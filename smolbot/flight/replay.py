@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from smolbot.config.load import AnyMission
+from smolbot.config.mission import Mission
 from smolbot.config.mission_base import MissionBase
 from smolbot.core.blas_threads import describe_blas
 from smolbot.core.pose import Pose
@@ -25,7 +26,7 @@ from smolbot.flight.safety.supervisor import SafetyRules
 from smolbot.runs.folder import find_package_versions
 from smolbot.runs.recording.reader import RecordedRun, read_run
 from smolbot.runs.run import CycleRecord
-from smolbot.runs.summary import compute_errors
+from smolbot.runs.summary import collect_tracked_trail, compute_errors
 from smolbot.runs.trace import Moment, get_located_poses
 
 
@@ -238,6 +239,8 @@ def _compute_figures(mission: MissionBase, moments: Sequence[Moment]) -> dict[st
         "r_squared_median": float(np.median([p.r_squared for p in trusted])) if trusted else None,
         "sigma_mm_median": float(np.median(sigma)) if sigma else None,
     }
+    if isinstance(mission, Mission):
+        out["visited_share"] = mission.find_visits(collect_tracked_trail(moments)).share
     return out | compute_errors(mission, list(moments))
 
 

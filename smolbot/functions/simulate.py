@@ -28,6 +28,7 @@ COLUMNS = {
     "cycles": ("cycles",),
     "loop_rate_hz": ("loop_rate_hz",),
     "timeline_limit_hz": ("timeline_limit_hz",),
+    "visited_share": ("visited_share",),
     "localization_mean_mm": ("localization_error_mm", "mean"),
     "localization_p95_mm": ("localization_error_mm", "p95"),
     "tracked_mean_mm": ("tracked_error_mm", "mean"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.rotations import choose_nearer_orientation, compute_rotation_error
 from smolbot.core.shots import Actuate, Rotate
+from smolbot.paths.visits import Visits
 from smolbot.runs.run import Run, get_trusted_poses
 from smolbot.runs.trace import Moment, Trace, pair_with_truth
 
@@ -23,7 +24,8 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
     Those that need the ground truth are present only where it is known. Tracking error is the true robot's
     horizontal distance to the path as a curve, from the path's start on (the approach is left out). Localization
     error is the located pose minus the truth, in three dimensions, of every trusted pose; `tracked_error_mm` is the
-    same for the tracked pose.
+    same for the tracked pose. `progress_mm` is how far the controller says that it came; `visited_share` is measured
+    on the robot's trail, whatever the controller says.
 
     Parameters
     ----------
@@ -40,6 +42,8 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
     out["coil_energy_j"] = compute_coil_energy(mission, run)
     out["path_length_mm"] = mission.path.length * 1e3
     out["progress_mm"] = max((c.command.progress for c in run.cycles), default=0.0) * 1e3
+    visits = compute_visits(mission, trace.moments)
+    out["visited_share"], out["longest_skip"] = visits.share, visits.describe_longest_skip(mission.path)
     out["path_time_s"] = compute_path_time(trace)
     out |= compute_errors(mission, trace.moments)
     if mission.robot.kind == "helical":
@@ -47,7 +51,7 @@ def summarise(mission: Mission, run: Run, trace: Trace) -> dict[str, Any]:
     distance = compute_tracking_distance(mission, trace.following)
     if distance.size:
         out["tracking_error_mm"] = compute_statistics(distance * 1e3, "mean", "rms", "p95", "max")
-    out["verdict"], out["verdict_reasons"] = evaluate_run(mission, run, out)
+    out["verdict"], out["verdict_reasons"] = evaluate_run(mission, run, visits, out)
     return out
 
 
@@ -90,13 +94,15 @@ def compute_common_figures(mission: MissionBase, run: Run) -> dict[str, Any]:
     }
 
 
-def evaluate_run(mission: Mission, run: Run, figures: dict[str, Any]) -> tuple[str, list[str]]:
+def evaluate_run(mission: Mission, run: Run, visits: Visits, figures: dict[str, Any]) -> tuple[str, list[str]]:
     """Evaluate a run against the limits of its mission file.
 
     Parameters
     ----------
     mission : Mission
     run : Run
+    visits : Visits
+        See `compute_visits`.
     figures : dict
         See `summarise`.
 
@@ -113,6 +119,8 @@ def evaluate_run(mission: Mission, run: Run, figures: dict[str, Any]) -> tuple[s
         error = figures.get(f"{name}_error_mm")
         if limit is not None and error is not None and error["mean"] > limit:
             reasons.append(f"mean {name} error {error['mean']:.2f} mm exceeds {limit:g} mm")
+    skipped = mission.find_skip_fault(visits)
+    reasons += [] if skipped is None else [skipped]
     return ("passed" if not reasons else "failed"), reasons
 
 
@@ -209,6 +217,39 @@ def compute_errors(mission: MissionBase, moments: list[Moment]) -> dict[str, Any
         estimated = np.array([p.position - t.position for p, t in tracked if p is not None and t is not None])
         out["tracked_error_mm"] = compute_statistics(np.linalg.norm(estimated, axis=1) * 1e3, "mean", "std", "p95")
     return out
+
+
+def compute_visits(mission: Mission, moments: Sequence[Moment]) -> Visits:
+    """Compute which parts of the path the robot visited, in the path's order.
+
+    Parameters
+    ----------
+    mission : Mission
+        Its `visit_tolerance` is the distance that counts as a visit.
+    moments : sequence of Moment
+
+    Returns
+    -------
+    Visits
+        Of the true robot; where no ground truth is known, of the tracked one.
+    """
+    true = np.vstack([np.zeros((0, 3)), *(m.positions for m in moments)])
+    return mission.find_visits(true if len(true) else collect_tracked_trail(moments))
+
+
+def collect_tracked_trail(moments: Sequence[Moment]) -> FloatArray:
+    """Collect the trusted tracked positions of some cycles, in order.
+
+    Parameters
+    ----------
+    moments : sequence of Moment
+
+    Returns
+    -------
+    ndarray, shape (n, 3), in m, world frame
+    """
+    tracked = [m.cycle.tracked for m in moments]
+    return np.array([p.position for p in tracked if p is not None and p.trusted]).reshape(-1, 3)
 
 
 def compute_tracking_distance(mission: Mission, moments: list[Moment]) -> FloatArray:

@@ -172,14 +172,16 @@ def _simulate_flight(
     with report_plugin_errors("Controller", controller, "reset"):
         controller.reset(mission.path, Pose(clock, position, orientation, PAUSE_COVARIANCE))
     shots: list[Shot] = []
-    trail = [position]
+    trail, way = [position], [position]
     while True:
         with report_plugin_errors("Controller", controller, "command"):
             command = check_command(
                 controller.command(Pose(clock, position, orientation, PAUSE_COVARIANCE)), controller
             )
         if command.done:
-            return shots, clock, np.array(trail), []
+            fault = mission.find_skip_fault(mission.find_visits(np.array(way)))
+            reasons = [] if fault is None else [f"{mission.law} would leave out a part: {fault}."]
+            return shots, clock, np.array(trail), reasons
         if command.stuck:
             return shots, clock, np.array(trail), [command.note]
         if command.mechanical:
@@ -188,6 +190,9 @@ def _simulate_flight(
             if broken:
                 return shots, clock, np.array(trail), [" ".join(broken)]
             assert not is_magnet_near_after(shot, near=False)
+            way += [
+                setup.helix.carry(shot.windows[: i + 1], position, orientation)[0] for i in range(len(shot.windows))
+            ]
             position, orientation, _, _ = setup.helix.carry(shot.windows, position, orientation)
             clock += shot.duration
             shots.append(shot)

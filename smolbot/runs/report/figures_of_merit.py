@@ -41,7 +41,8 @@ NAMES = {
     "duration_s": "duration",
     "path_time_s": "of it on the path",
     "path_length_mm": "length of the path",
-    "progress_mm": "of it passed",
+    "progress_mm": "of it passed, as the controller counts",
+    "visited_share": "share of it visited in order",
     "cycles": "cycles",
     "flips": "180° orientation flips",
     "poses_untrusted": "measurements rejected",
@@ -185,6 +186,7 @@ def _list_criteria(mission: AnyMission) -> Iterator[tuple[str, str, float, bool]
         asked = [
             ("tracking_error_mm.mean", "mean tracking error", limits.mean_tracking_mm, True),
             ("localization_error_mm.mean", "mean localization error", limits.mean_localization_mm, True),
+            ("visited_share", "share of the path visited in order", limits.min_visited_share, False),
         ]
     for key, name, limit, is_maximum in asked:
         if limit is not None:

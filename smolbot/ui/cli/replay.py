@@ -108,6 +108,7 @@ _ROWS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("orientation error (mean, deg)", ("orientation_error_deg", "mean")),
     ("                  (p95, deg)", ("orientation_error_deg", "p95")),
     ("180° orientation flips", ("flips",)),
+    ("share of the path visited", ("visited_share",)),
 )
 
 

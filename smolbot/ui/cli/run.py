@@ -111,6 +111,8 @@ def _show_run(mission: AnyMission, run: Run, json: bool) -> None:
         shown = [append_unit(f"{name} {values[name]:.2f}", get_unit(key)) for name in ("mean", "p95") if name in values]
         if shown:
             rows.append((label, ", ".join(shown)))
+    if "visited_share" in s:
+        rows.append(("path visited", _format_visited(s)))
     rows += make_observation_rows(s)
     if s["r_squared_median"] is not None:
         rows.append(("R² (median)", f"{s['r_squared_median']:.4f}"))
@@ -143,6 +145,18 @@ def _format_coils(summary: dict[str, Any]) -> str:
         return text
     hottest = max(peaks, key=lambda name: (peaks[name] - 20.0) / (limits[name] - 20.0))
     return f"{text}, {peaks[hottest]:.0f} °C at most ({hottest}; limit {limits[hottest]:g} °C)"
+
+
+def _format_visited(summary: dict[str, Any]) -> str:
+    """Describe the share of the path that was visited in order, and the longest part that was not.
+
+    Examples
+    --------
+    >>> _format_visited({"visited_share": 0.532, "longest_skip": "25.7 mm near (-8.0, 0.2) mm"})
+    '53.2 % in order; skipped 25.7 mm near (-8.0, 0.2) mm'
+    """
+    skipped = f"; skipped {summary['longest_skip']}" if summary["longest_skip"] else ""
+    return f"{100.0 * summary['visited_share']:.1f} % in order{skipped}"
 
 
 def _format_recovered(summary: dict[str, Any]) -> str:

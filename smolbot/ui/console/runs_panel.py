@@ -58,6 +58,8 @@ def describe_run(folder: Path) -> str:
         return "it has no summary: it flies, or was ended from outside"
     tracking = summary.get("tracking_error_mm")
     words = [f"{summary['status']}: {summary['stop_reason']}", f"verdict {summary['verdict']}"]
+    visited = summary.get("visited_share")
+    words += [f"{100.0 * visited:.0f} % of the path visited"] if visited is not None else []
     words += [f"true robot to path {tracking['mean']:.2f} mm on average"] if tracking else []
     return "; ".join(words)
 

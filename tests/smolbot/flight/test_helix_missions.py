@@ -114,8 +114,13 @@ def test_preview_refuses_a_hairpin_and_a_gel_that_holds_the_robot():
 
 @pytest.mark.parametrize(("beside_mm", "go"), [(2.0, True), (2.5, False)])
 def test_preview_refuses_a_start_from_which_the_robot_would_go_on_too_far_beside_the_path(beside_mm, go):
-    """A fifth of its length, 1.5 mm, is how far it may be from the path once it is past the path's start."""
-    seen = preview_helix(load_steering_mission(LINE, settings={"start.offset_mm": f"[1.0, {beside_mm}]"}))
+    """A fifth of its length, 1.5 mm, is how far it may be from the path once it is past the path's start.
+
+    Beginning beside the path it misses the first millimetres, which is another reason not to fly.
+    """
+    settings = {"start.offset_mm": f"[1.0, {beside_mm}]"}
+    assert not preview_helix(load_steering_mission(LINE, settings=settings)).go
+    seen = preview_helix(load_steering_mission(LINE, settings={**settings, "verdict.min_visited_share": "0.5"}))
     beside = np.abs(seen.trail[1:, 1])  # the path lies on y = 0
     assert seen.trail[1, 0] > -7e-3
     assert beside.max() < 4.5e-3
