@@ -210,8 +210,7 @@ class Rollout:
             if command.phase == "approach" or shot.mode != "track":
                 path_begun, first = self.clock, len(trail)
             reason = self._find_end(shot, command, self.clock - began, self.clock - begun, limit)
-        if reason is None:
-            reason = self._find_skip(np.array(trail))
+        reason = reason or self._find_skip(np.array(trail))
         resistances = self.mission.rig.coil_resistances
         return Outcome(
             reason=reason or "",
@@ -251,6 +250,11 @@ class Rollout:
         if pose is not None:
             self._pose_errors.append(float(np.linalg.norm(pose.position - self.world.position)))
         self.clock += shot.duration + self._turnaround
+
+    def _find_skip(self, trail: FloatArray) -> str | None:
+        """Return which part of the path would not be visited; None if none is left out."""
+        fault = self.mission.find_skip_fault(self.mission.find_visits(trail)) if len(trail) else None
+        return None if fault is None else f"{self.mission.law} would leave out a part: {fault}."
 
     def _describe_edge(self) -> str:
         return f"the robot would leave the field table near {_format_mm(self.world.position)}."
