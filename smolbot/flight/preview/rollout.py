@@ -252,14 +252,6 @@ class Rollout:
         self.clock += shot.duration + self._turnaround
 
     def _find_skip(self, trail: FloatArray) -> str | None:
-        """Return which part of the path would not be visited; None if none is left out."""
-        fault = self.mission.find_skip_fault(self.mission.find_visits(trail)) if len(trail) else None
-        return None if fault is None else f"{self.mission.law} would leave out a part: {fault}."
-
-    def _describe_edge(self) -> str:
-        return f"the robot would leave the field table near {_format_mm(self.world.position)}."
-
-    def _find_skip(self, trail: FloatArray) -> str | None:
         """Return which part of the path the trail left out; None if it visited enough of it."""
         fault = self.mission.find_skip_fault(self.mission.find_visits(trail))
         return None if fault is None else f"{self.mission.law} would leave out a part: {fault}."
