@@ -251,9 +251,12 @@ class Rollout:
             self._pose_errors.append(float(np.linalg.norm(pose.position - self.world.position)))
         self.clock += shot.duration + self._turnaround
 
+    def _describe_edge(self) -> str:
+        return f"the robot would leave the field table near {_format_mm(self.world.position)}."
+
     def _find_skip(self, trail: FloatArray) -> str | None:
         """Return which part of the path the trail left out; None if it visited enough of it."""
-        fault = self.mission.find_skip_fault(self.mission.find_visits(trail))
+        fault = self.mission.find_skip_fault(self.mission.find_visits(trail)) if len(trail) else None
         return None if fault is None else f"{self.mission.law} would leave out a part: {fault}."
 
     def _find_refusal(self, shot: Shot) -> str | None:
