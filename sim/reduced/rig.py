@@ -263,8 +263,6 @@ def require_flyable(mission: AnyMission) -> None:
     """
     robot = mission.robot
     kind: str = robot.kind
-    if mission.rig.world == "tank" and mission.rig.section_of("tank", TankSettings).faults:
-        raise InputError("The reduced plant has no sensors or coils that could fail: fly faults with --plant full.")
     if mission.rig.world != "tank":
         raise InputError(
             f"The reduced plant replaces a simulated tank; '{mission.rig.name}' is of world '{mission.rig.world}'."
@@ -275,3 +273,5 @@ def require_flyable(mission: AnyMission) -> None:
             "The reduced plant supports robots of kind 'gradient' with the moment along the cantilever; "
             f"'{robot.name}' {what}. Fly it in the full tank: --plant full."
         )
+    if mission.rig.section_of("tank", TankSettings).faults:
+        raise InputError("The reduced plant has no sensors or coils that could fail: fly faults with --plant full.")

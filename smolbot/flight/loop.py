@@ -45,9 +45,9 @@ _EXPECTED_ERRORS = (InterlockError, RigError, OutsideTableError, InputError)
 LOST_SIGNALS = "lost_signals"
 """Key of losses of the signal among what a run has recovered from."""
 
-NOTED_LOSS = 1.0
-"""Time without an accepted pose, in s, from which the record says that the signal is lost, once it is searched for: a
-few outliers are none, nor is the minute in which a magnet turns a helix."""
+NOTED_LOSS, NOTED_MISSES = 1.0, 3
+"""Time, in s, and shots in a row without an accepted pose from which the record says that the signal is lost: a few
+outliers are none, nor is the minute in which a magnet turns a helix."""
 
 MIN_HEARD = 0.5
 """Share of a signal that a fit must explain for the device to have been heard at all: less is background noise."""
@@ -386,7 +386,7 @@ class Loop:
             self._miss = ""
             if self.channels is not None and pose is not None:
                 self.channels.gate.accept()
-        elif pose is not None and pose.trusted and tracked is not None and not self.independent:
+        elif pose is not None and pose.trusted and tracked is not None and self._trusts_track:
             objection = find_gross_error(pose, tracked, along_cantilever=self.localizer.device.along_cantilever)
             if objection:
                 pose, self._miss = replace(pose, trusted=False), objection
@@ -410,6 +410,11 @@ class Loop:
         done = self._clock()
         status = self.rig.status_line if isinstance(self.rig, StatusReporter) else ""
         return CycleRecord(shot, pose, tracked, answer, (planned - begin) + (done - received), ended, status)
+
+    @property
+    def _trusts_track(self) -> bool:
+        """Whether a pose far from the track is wrong; a hand moves a device as no model predicts, so that it is not."""
+        return not self.independent and not self.externally_guided
 
     def _locate(self, recording: Recording, prior: Pose | None) -> tuple[Pose, Oscillation | None]:
         """Locate in a recording, with the sensors that agree with each other."""
@@ -473,7 +478,7 @@ class Loop:
         searched = self.independent and pose is not None and pose.trusted  # found again, but not yet a measurement
         if self.tracker.misses and not searched:
             self._miss = self._miss or describe_miss(pose)
-            long = ended - self._found >= NOTED_LOSS and self.tracker.misses >= self.scheduler.max_misses
+            long = ended - self._found >= NOTED_LOSS and self.tracker.misses >= NOTED_MISSES
             if long and not self._lost and self._found > self._started:
                 self._lost = self._miss
                 self._record_event(ended, "signal lost", {"since_s": round(self._found, 3), "reason": self._lost})

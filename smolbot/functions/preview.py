@@ -38,7 +38,7 @@ def preview(mission: str | AnyMission, rig: str | None = None, **overrides: Any)
     >>> import smolbot
     >>> predicted = smolbot.preview("line")
     >>> predicted.go, round(predicted.duration)
-    (True, 25)
+    (True, 26)
     """
     loaded = load_mission(mission, rig, merge_settings(None, overrides)) if isinstance(mission, str) else mission
     if not isinstance(loaded, MissionBase):

@@ -227,7 +227,7 @@ def test_a_maneuver_that_was_held_back_is_offered_again():
             return Command((MoveMagnet("near", 1.0), MoveMagnet("away", 1.0)))
 
     class Believed:
-        pose, confirmed, misses = pose_of([0, 0, 0.05], 0.0), True, 0
+        pose, confirmed, misses, learned = pose_of([0, 0, 0.05], 0.0), True, 0, False
 
         def pose_at(self, time):
             return self.pose

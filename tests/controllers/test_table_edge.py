@@ -77,7 +77,7 @@ class Careless:
 
 
 class Tracked:
-    confirmed, misses = True, 0
+    confirmed, misses, learned = True, 0, False
 
     def __init__(self, place):
         self.pose = pose(*place)

@@ -387,7 +387,7 @@ def test_a_law_that_returns_what_no_loop_can_play_is_refused(plug_in, monkeypatc
     monkeypatch.setattr(OwnLaw, "change", staticmethod(change))
     plug_in("controllers", "own", OwnLaw)
     with pytest.raises(PluginError, match=rf"Controller \S*:OwnLaw: {said}"):
-        smolbot_run("line", out=tmp_path / "run", report=False, controller__law="own", **BRIEFLY)
+        smolbot_run("line", out=tmp_path / "run", report=False, controller__law="own", force="preview", **BRIEFLY)
     summary = json.loads((tmp_path / "run/summary.json").read_text())
     assert summary["status"] == "failed"
     assert "OwnLaw" in summary["stop_reason"]
@@ -396,14 +396,14 @@ def test_a_law_that_returns_what_no_loop_can_play_is_refused(plug_in, monkeypatc
 def test_an_estimator_that_fails_in_flight_is_named(plug_in):
     plug_in("estimators", "own", OwnEstimator)
     with pytest.raises(PluginError, match=r"Estimator \S*:OwnEstimator failed in locate\(\): ValueError: by a lab"):
-        smolbot_run("line", localization__estimator="own", **BRIEFLY)
+        smolbot_run("line", localization__estimator="own", force="preview", **BRIEFLY)
 
 
 def test_a_pose_that_is_no_pose_is_refused(plug_in, monkeypatch):
     monkeypatch.setattr(OwnEstimator, "locate", lambda self, recording, prior=None: (1.0, 2.0, 3.0))
     plug_in("estimators", "own", OwnEstimator)
     with pytest.raises(PluginError, match=r"OwnEstimator: locate\(\) must return a Pose; got \(1\.0, 2\.0, 3\.0\)"):
-        smolbot_run("line", localization__estimator="own", **BRIEFLY)
+        smolbot_run("line", localization__estimator="own", force="preview", **BRIEFLY)
 
 
 def test_gains_that_are_no_mapping_are_refused(plug_in, monkeypatch):

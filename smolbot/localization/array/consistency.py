@@ -130,7 +130,7 @@ def compute_sigmas(chi_square: FloatArray, freedom: FloatArray) -> FloatArray:
     Examples
     --------
     >>> compute_sigmas(np.array([10.0, 30.0]), np.array([10.0, 10.0])).round(1)
-    array([0.1, 3.3])
+    array([0.1, 3.1])
     """
     spread = 2.0 / (9.0 * freedom)
     sigmas: FloatArray = (np.cbrt(chi_square / freedom) - (1.0 - spread)) / np.sqrt(spread)

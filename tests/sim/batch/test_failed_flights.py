@@ -36,7 +36,7 @@ def one_bad_world(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("one_bad_world")
 def test_one_bad_world_is_one_failed_row_with_error_and_place(tmp_path: Path) -> None:
-    found = smolbot.simulate("line", range(3, 6), settings=SHORT, out=tmp_path / "study")
+    found = smolbot.simulate("line", range(3, 6), settings=SHORT, out=tmp_path / "study", force="preview")
     assert [flight.summary["seed"] for flight in found.flights] == [3, 4, 5]
     reasons = [flight.summary["stop_reason"] for flight in found.flights]
     assert reasons[0].startswith("max_duration_s reached")
@@ -53,7 +53,7 @@ def test_one_bad_world_is_one_failed_row_with_error_and_place(tmp_path: Path) ->
 
 @pytest.mark.usefixtures("one_bad_world")
 def test_a_study_of_bad_worlds_only_ends_with_its_rows_too(tmp_path: Path) -> None:
-    found = smolbot.simulate("line", [BAD_SEED], settings=SHORT, out=tmp_path / "study")
+    found = smolbot.simulate("line", [BAD_SEED], settings=SHORT, out=tmp_path / "study", force="preview")
     assert found.passed == 0
     assert found.figures()["errors"] == 1
 
@@ -73,16 +73,17 @@ def test_what_would_fail_in_every_flight_still_ends_the_study(
 
     monkeypatch.setattr(session, "fly", fly)
     with pytest.raises(type(error)):
-        smolbot.simulate("line", [1], settings=SHORT)
+        smolbot.simulate("line", [1], settings=SHORT, force="preview")
 
 
 def test_a_world_whose_coils_show_no_decay_flies_with_the_missions_own_ring_down() -> None:
     settings = {**SHORT, "localization.learn_ring_down": "true", "rig.tank.faults": '["excitation_lost@now:2"]'}
-    run = smolbot.run(smolbot.load_mission("line", settings={**settings, "localization.quiet_s": "1"}), seed=3)
+    mission = smolbot.load_mission("line", settings={**settings, "localization.quiet_s": "1"})
+    run = smolbot.run(mission, seed=3, force="preview")
     (event,) = [event for event in run.events if event.what == "ring-down not learned"]
     assert "no decay" in str(event.detail["reason"])
 
 
 def test_lines_that_were_found_already_are_not_found_again_where_noise_is_near_zero() -> None:
-    run = smolbot.run("r_path", seed=7, rig__tank__mismatch__scale=3.0, stop__max_duration_s=0.5)
+    run = smolbot.run("r_path", seed=7, rig__tank__mismatch__scale=3.0, stop__max_duration_s=0.5, force="preview")
     assert run.status == "timeout"
