@@ -172,7 +172,12 @@ def test_the_law_plans_with_adopted_gains_and_drift():
 
 def test_a_flight_in_half_as_viscous_a_liquid_is_tracked_and_says_what_it_has_learned():
     flown = run(
-        "r_path", seed=3, rig__tank__faults=["viscosity=0.5"], localization__quiet_s=3.0, stop__max_duration_s=6.0, force="preview"
+        "r_path",
+        seed=3,
+        rig__tank__faults=["viscosity=0.5"],
+        localization__quiet_s=3.0,
+        stop__max_duration_s=6.0,
+        force="preview",
     )
     (event,) = [event for event in flown.events if event.what == "motion model doubted"]
     assert event.time < 6.0

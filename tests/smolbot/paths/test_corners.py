@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smolbot.core.rotations import matrix_from_quaternion
@@ -74,12 +74,19 @@ def test_an_arc_touches_a_straight_side_and_a_bend():
     assert abs(find_nearest_place(shaped.points, center)[1] - 1.0) < 2e-3
 
 
-@given(st.lists(st.tuples(st.floats(-20, 20), st.floats(-20, 20)), min_size=3, max_size=7), st.floats(0.2, 5.0))
+@given(
+    st.lists(
+        st.tuples(st.floats(1.001, 20.0), st.floats(0.0, 1.0), st.sampled_from([-1.0, 1.0])), min_size=2, max_size=6
+    ),
+    st.floats(0.2, 5.0),
+)
 @settings(max_examples=40)
-def test_after_rounding_no_corner_is_left_but_reversals(points, radius):
-    path = np.array(points)
-    assume(np.all(np.linalg.norm(np.diff(path, axis=0), axis=1) > 1.0))
-    assume(np.all((compute_turns(path) < np.radians(165.0)) & (compute_turns(path) > MIN_CORNER_ANGLE)))
+def test_after_rounding_no_corner_is_left_but_reversals(legs, radius):
+    lengths, shares, senses = (np.array(values) for values in zip(*legs, strict=True))
+    turns = senses * (1.01 * MIN_CORNER_ANGLE + shares * (np.radians(164.0) - 1.01 * MIN_CORNER_ANGLE))
+    heading = np.cumsum(turns)
+    steps = lengths[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    path = np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)])
     shaped = round_corners(path, radius).points
     assert compute_turns(shaped).max() < MIN_CORNER_ANGLE
     assert shaped[[0, -1]] == pytest.approx(path[[0, -1]], abs=2e-6)
