@@ -97,7 +97,7 @@ def test_a_helical_law_that_does_not_tell_its_bend_is_previewed_all_the_same(plu
     assert shown.go
     assert shown.min_radius is None
     assert np.array_equal(shown.trail, other.trail)
-    run = smolbot.run(mission, seed=1, witness=False, force="preview")
+    run = smolbot.run(mission, seed=1, witness=False)
     assert run.status == "completed", run.stop_reason
 
 
