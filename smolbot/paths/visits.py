@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -13,6 +14,9 @@ from smolbot.paths.curve import Curve
 
 CELLS_PER_TOLERANCE, MAX_CELLS = 8, 4000
 """Number of cells of the path per length of one tolerance, and of the whole path at most."""
+
+PLACES_AT_ONCE = 64
+"""Number of places of the trail whose distances are computed at once: few enough for the processor's cache."""
 
 TRAIL_STEPS_PER_TOLERANCE = 4
 """Number of places of the trail per length of one tolerance: straight lines join the positions."""
@@ -239,16 +243,11 @@ def _assign(trail: FloatArray, cells: FloatArray, reach: FloatArray) -> BoolArra
     by 0 or 1 from cell to cell, so that one bit for each is kept for the way back.
     """
     most = np.zeros(len(cells) + 1, dtype=np.int32)
-    before = np.zeros(len(cells), dtype=bool)
     rows = []
-    for place in trail:
-        within = np.sum((cells - place) ** 2, axis=1) <= reach**2
-        if not within.any() or np.array_equal(within, before):
-            continue  # the same cells once more change nothing
+    for within in _find_changes(trail, cells, reach):
         rows.append(np.packbits(np.diff(most).astype(bool)))
         count = np.concatenate([[0], np.cumsum(within, dtype=np.int32)])
         most = np.maximum.accumulate(most - count) + count
-        before = within
     visited = np.zeros(len(cells), dtype=bool)
     j = len(cells)
     for row in reversed(rows):
@@ -258,3 +257,16 @@ def _assign(trail: FloatArray, cells: FloatArray, reach: FloatArray) -> BoolArra
             visited[j] = most[j + 1] > most[j]
         most = earlier
     return visited
+
+
+def _find_changes(trail: FloatArray, cells: FloatArray, reach: FloatArray) -> Iterator[BoolArray]:
+    """Find which cells (n,) each place of the trail visits: the same cells once more, or none, change nothing."""
+    before = np.zeros(len(cells), dtype=bool)
+    square = reach**2
+    for first in range(0, len(trail), PLACES_AT_ONCE):
+        away = trail[first : first + PLACES_AT_ONCE, None, :] - cells
+        inside = away[..., 0] ** 2 + away[..., 1] ** 2 <= square
+        for within in inside[inside.any(axis=1)]:
+            if not np.array_equal(within, before):
+                yield within
+                before = within

@@ -271,7 +271,7 @@ def test_gains_that_contradict_each_other_are_refused():
 
 
 def test_in_the_tank_a_straight_line_is_flown_closely():
-    flown = run("line", seed=3, controller__law="predictive", localization__quiet_s=3.0)
+    flown = run("line", seed=3, controller__law="predictive", localization__quiet_s=3.0, force="preview")
     assert flown.status == "completed"
     assert flown.summary["tracking_error_mm"]["rms"] < 0.6
 

@@ -146,7 +146,8 @@ def test_what_is_hardly_driven_is_not_trusted_and_what_is_not_driven_not_located
 def test_results_are_labelled_wherever_they_are_shown(flown, line, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sim.batch.executors.open_executor", lambda jobs, scheduler: ThreadPoolExecutor(1))
-    arguments = ["simulate", "line", "--plant", "reduced", "--seeds", "1..2", "--out", "study", "--json"]
+    arguments = ["simulate", "line", "--plant", "reduced", "--seeds", "1..2", "--out", "study", "--json",
+                 "--force", "preview"]  # fmt: skip
     monkeypatch.setattr(sys, "argv", ["smolbot", *arguments])
     with pytest.raises(SystemExit) as ended:
         command_line.main()

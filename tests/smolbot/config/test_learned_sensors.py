@@ -77,7 +77,7 @@ def test_a_triangle_with_a_row_too_short_is_told(tmp_path):
 
 
 def test_a_flight_leaves_what_it_learned_and_the_next_one_starts_from_it(tmp_path):
-    first = run("line", seed=4, out=tmp_path / "one", report=False)
+    first = run("line", seed=4, out=tmp_path / "one", report=False, force="preview")
     learned = [e for e in first.events if e.what == "array learned"]
     assert learned
     path = tmp_path / "one" / LEARNED_SENSORS_FILE
@@ -87,12 +87,12 @@ def test_a_flight_leaves_what_it_learned_and_the_next_one_starts_from_it(tmp_pat
     assert next_rig.sensors.axes == pytest.approx(np.array(learned[-1].detail["axes"]), abs=2e-3)
     before, after = nominal.sensor_covariance, next_rig.sensor_covariance
     assert np.linalg.slogdet(after)[1] < np.linalg.slogdet(before)[1] - 5.0
-    second = run("line", seed=4, rig__sensors__calibrated=str(path))
+    second = run("line", seed=4, rig__sensors__calibrated=str(path), force="preview")
     assert second.summary["verdict"] == "passed"
 
 
 def test_nothing_is_learned_or_left_where_no_tolerance_is_given(tmp_path):
     off = {f"rig__{k.replace('.', '__')}": v for k, v in OFF.items()}
-    flown = run("line", seed=4, out=tmp_path / "one", report=False, **off)
+    flown = run("line", seed=4, out=tmp_path / "one", report=False, force="preview", **off)
     assert not [e for e in flown.events if e.what == "array learned"]
     assert not (tmp_path / "one" / LEARNED_SENSORS_FILE).exists()

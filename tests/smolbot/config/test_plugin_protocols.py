@@ -72,7 +72,7 @@ def test_what_a_law_may_leave_out_is_looked_for_by_nobody(plug_in):
     assert shown.go
     assert shown.force_profile is None
     assert robot_kinds(Wrapping) == ("gradient",)
-    assert smolbot.run(mission, seed=3).status == "completed"
+    assert smolbot.run(mission, seed=3, force="preview").status == "completed"
 
 
 class Untold(Wrapping):
@@ -303,7 +303,7 @@ def test_a_world_that_opens_what_is_no_rig_is_refused_before_anything_is_played(
     monkeypatch.setattr("smolbot.flight.session.load_world", lambda name, document: HalfWorld)
     mission = load_mission("line", settings=SHORT)
     with pytest.raises(PluginError) as refused:
-        smolbot.run(mission)
+        smolbot.run(mission, force="preview")
     said = str(refused.value)
     assert said.startswith("What world 'tank' opens breaks its protocol, smolbot.core.rig.Rig: it has no attribute")
     for fault in (

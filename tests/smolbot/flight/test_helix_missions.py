@@ -41,7 +41,7 @@ def helix():
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     out = tmp_path_factory.mktemp("helix") / "run"
-    return run(LINE, "gel_blocked", seed=2, out=out, report=False), out
+    return run(LINE, "gel_blocked", seed=2, out=out, report=False, force="preview"), out
 
 
 def test_a_lump_is_got_over_by_backing_off_and_turning_slowly(flown):
@@ -54,7 +54,7 @@ def test_a_lump_is_got_over_by_backing_off_and_turning_slowly(flown):
 
 
 def test_without_recovery_the_same_lump_ends_the_mission_with_a_reason():
-    result = run(LINE, "gel_blocked", seed=2, controller__gains__tries=0)
+    result = run(LINE, "gel_blocked", seed=2, controller__gains__tries=0, force="preview")
     assert result.status == "stuck"
     assert "stepped out" in result.stop_reason
     assert result.summary["verdict"] == "failed"

@@ -17,6 +17,7 @@ from smolbot.flight.preview.model_world import ModelWorld, Perturbation
 from smolbot.flight.preview.rollout import RolloutParts, expect_cycle
 from smolbot.flight.safety.heat_store import HeatMemory
 from smolbot.flight.session import run
+from tests.conftest import mission_of
 
 UNFIT = {
     "path_outside_tank": r"path_outside_tank\.toml:6: path: \(21\.0, 0\.0\) mm lies outside the tank; .* to \(",
@@ -59,10 +60,16 @@ def test_a_mission_that_would_not_end_is_a_no_go_for_exactly_its_reason(missions
     assert np.isfinite(seen.rate_limit)
 
 
+@functools.cache
+def preview_of(name):
+    """The preview of a shipped mission, computed once for all tests that look at it."""
+    return preview(mission_of(name))
+
+
 @pytest.mark.parametrize("name", ["line", "r_path", "r_small"])
 def test_a_shipped_mission_is_a_go(name):
-    mission = load_steering_mission(name)
-    seen = preview(mission)
+    mission = mission_of(name)
+    seen = preview_of(name)
     assert seen.go
     assert seen.length == pytest.approx(mission.path.length)
     assert np.linalg.norm(seen.trail[-1][:2] - mission.path.points[-1][:2]) <= mission.tolerance
@@ -73,7 +80,7 @@ def test_a_shipped_mission_is_a_go(name):
 
 
 def test_the_timeline_limits_the_rate_and_the_turnaround_lowers_it(line):
-    seen = preview(line)
+    seen = preview_of("line")
     rest = line.cycle.duration(line.robot.device.frequency)
     assert 1 / (0.08 + rest) < seen.rate_limit < 1 / rest
     assert 1 / seen.rate == pytest.approx(1 / seen.rate_limit + line.rig.turnaround)
@@ -123,7 +130,7 @@ def test_a_liquid_that_flows_carries_a_robot_that_nothing_pulls():
 @pytest.mark.parametrize("name", ["line", "r_path", "r_small"])
 def test_figures_told_are_those_flown(name):
     flown = [run(name, seed=seed).summary for seed in range(1, 9)]
-    told = preview(load_steering_mission(name))
+    told = preview_of(name)
 
     def mean(*keys):
         return np.mean([functools.reduce(dict.__getitem__, keys, summary) for summary in flown])

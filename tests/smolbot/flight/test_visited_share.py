@@ -59,7 +59,7 @@ def test_both_lobes_of_a_figure_eight_begun_at_its_crossing_are_flown(law):
 def test_a_law_that_leaves_out_half_of_the_path_is_a_no_go_and_does_not_pass(plug_in, tmp_path):
     plug_in("controllers", "half_way", HalfWay)
     mission = eight("half_way")
-    shown = preview(mission)
+    shown = preview(mission, seek_remedy=False)
     assert not shown.go
     (reason,) = shown.reasons
     assert "half_way would leave out a part: 5" in reason
@@ -67,7 +67,7 @@ def test_a_law_that_leaves_out_half_of_the_path_is_a_no_go_and_does_not_pass(plu
     relaxed = load_steering_mission(
         "r_path", settings={**FIGURE_EIGHT, "controller.law": "half_way", "verdict.min_visited_share": "0.5"}
     )
-    run = smolbot.run(relaxed, seed=3, out=tmp_path / "run", report=False)
+    run = smolbot.run(relaxed, seed=3, out=tmp_path / "run", report=False, force="preview")
     assert run.status == "completed"  # as the law says
     assert run.summary["verdict"] == "passed"  # as was asked for
     assert run.summary["progress_mm"] == pytest.approx(run.summary["path_length_mm"], rel=0.05)

@@ -54,7 +54,14 @@ def test_an_estimator_that_only_locates_flies_a_mission_to_its_end(plug_in):
 def test_what_it_locates_is_the_pose_of_the_cycle_bit_for_bit(plug_in):
     plug_in("estimators", "plain", Plain)
     mine, theirs = (
-        smolbot.run("line", seed=3, witness=False, path__points_mm=[[-1, 0], [1.5, 0]], localization__estimator=name)
+        smolbot.run(
+            "line",
+            seed=3,
+            witness=False,
+            path__points_mm=[[-1, 0], [1.5, 0]],
+            localization__estimator=name,
+            force="preview",
+        )
         for name in ("plain", "paper")
     )
     first, other = mine.cycles[0], theirs.cycles[0]  # later ones differ: the tracker weighs the paper's amplitude too
@@ -74,7 +81,8 @@ def test_an_estimator_that_learns_the_noise_gets_it_once(plug_in):
 
 def test_a_recorded_run_is_replayed_with_a_labs_own_estimator(plug_in, tmp_path):
     plug_in("estimators", "plain", Plain)
-    run = smolbot.run(load_mission("line", settings=SHORT), seed=3, out=tmp_path / "run", report=False)
+    mission = load_mission("line", settings=SHORT)
+    run = smolbot.run(mission, seed=3, out=tmp_path / "run", report=False, force="preview")
     again = replay(run.folder, estimator="plain")
     assert again.changed == {"estimator": "plain"}
     assert len(again.cycles) == len(run.cycles)
@@ -83,10 +91,10 @@ def test_a_recorded_run_is_replayed_with_a_labs_own_estimator(plug_in, tmp_path)
 
 def test_ours_under_another_name_flies_the_same_flight_bit_for_bit(plug_in):
     plug_in("estimators", "handed", Handed)
-    flights = [
-        smolbot.run(load_mission("line", settings={**SHORT, "localization.estimator": name}), seed=3, witness=False)
-        for name in ("whitened", "handed")
+    missions = [
+        load_mission("line", settings={**SHORT, "localization.estimator": name}) for name in ("whitened", "handed")
     ]
+    flights = [smolbot.run(mission, seed=3, witness=False, force="preview") for mission in missions]
     assert [e.what for e in flights[0].events] == [e.what for e in flights[1].events]
     for a, b in zip(flights[0].cycles, flights[1].cycles, strict=True):
         assert a.shot == b.shot
@@ -112,7 +120,8 @@ class Unsure(NotFinite):
 )
 def test_poses_that_are_not_finite_are_never_trusted_and_the_run_says_so(plug_in, made, cause):
     plug_in("estimators", "odd", made)
-    run = smolbot.run(load_mission("line", settings={"localization.estimator": "odd", "stop.lost_shots": "5"}), seed=3)
+    mission = load_mission("line", settings={"localization.estimator": "odd", "stop.lost_shots": "5"})
+    run = smolbot.run(mission, seed=3, force="preview")
     assert run.status == "lost"
     assert cause in run.stop_reason
     assert not any(cycle.tracked for cycle in run.cycles)

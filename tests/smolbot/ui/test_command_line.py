@@ -76,7 +76,7 @@ def test_ctrl_c_ends_with_3_and_leaves_the_folder(smolbot, monkeypatch, tmp_path
             raise KeyboardInterrupt
 
     monkeypatch.setattr(progress.PathProgress, "__call__", interrupt)
-    code, out, _ = smolbot("run", "line", "--out", "stopped", *PLAIN)
+    code, out, _ = smolbot("run", "line", "--out", "stopped", *PLAIN, "--force", "preview")
     assert code == 3
     assert "stopped by the operator" in out
     assert json.loads((tmp_path / "stopped/summary.json").read_text())["cycles"] == 4
@@ -89,7 +89,7 @@ def test_a_rig_that_fails_ends_with_3(smolbot, monkeypatch):
         raise RigError("the amplifier tripped")
 
     monkeypatch.setattr(TankRig, "play", fail)
-    code, out, _ = smolbot("run", "line", *PLAIN)
+    code, out, _ = smolbot("run", "line", *PLAIN, "--force", "preview")
     assert code == 3
     assert "failed: the amplifier tripped" in out
 
@@ -99,7 +99,7 @@ def test_a_rig_that_does_not_open_ends_with_3_and_leaves_nothing(smolbot, monkey
         raise RigError("no amplifier answers")
 
     monkeypatch.setattr("sim.tank.world.TankWorld.open", refuse)
-    code, _, err = smolbot("run", "line", *SHORT)
+    code, _, err = smolbot("run", "line", *SHORT, "--force", "preview")
     assert code == 3
     assert err.strip() == "no amplifier answers"
     assert list(tmp_path.iterdir()) == []

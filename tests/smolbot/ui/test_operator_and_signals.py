@@ -17,7 +17,8 @@ from smolbot.ui.cli.stop_key import Keyboard
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and terminals of POSIX")
 
-SHORT = ["--set", "path.points_mm=[[-1, 0], [1.5, 0]]", "--set", "localization.estimator=paper", "--no-report"]
+SHORT = ["--set", "path.points_mm=[[-1, 0], [1.5, 0]]", "--set", "localization.estimator=paper", "--no-report",
+         "--force", "preview"]  # fmt: skip
 
 # `smolbot run` that is hit by signals: in the n-th cycle, while outputs go to zero, while the folder is written.
 HIT = """
@@ -81,7 +82,7 @@ def test_a_signal_before_the_rig_is_open_moves_nothing_and_ends_with_3(tmp_path)
     from sim import TankWorld
     from smolbot.ui.cli.app import main
     TankWorld.open = staticmethod(lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM))
-    sys.argv[1:] = ["run", "line", "--out", sys.argv[1]]
+    sys.argv[1:] = ["run", "line", "--force", "preview", "--out", sys.argv[1]]
     main()
     """
     command = [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "run")]
@@ -219,7 +220,7 @@ def test_without_a_terminal_there_is_no_key_and_no_harm():
 def test_a_key_stops_a_run_on_a_terminal_with_3(tmp_path):
     terminal = Terminal(
         sys.executable, "-m", "smolbot", "run", "r_path", "--out", str(tmp_path / "run"), "--no-report",
-        "--set", "path.glyph='8'",
+        "--set", "path.glyph='8'", "--force", "preview",
     )  # fmt: skip
     terminal.until("q, Esc or Ctrl-C stops the run")
     terminal.type(b"q")

@@ -17,7 +17,8 @@ from smolbot.ui.link.consoles import ENVIRONMENT, read_console
 
 pytestmark = pytest.mark.slow
 
-SLOW = ("--set", "path.speed_mm_s=0.05", "--set", "stop.max_duration_s=100000", "--set", "localization.quiet_s=1")
+SLOW = ("--set", "path.speed_mm_s=0.05", "--set", "stop.max_duration_s=100000", "--set", "localization.quiet_s=1",
+        "--force", "preview")  # fmt: skip
 """A letter that takes a quarter of an hour of the tank's time: it is stopped long before."""
 
 
