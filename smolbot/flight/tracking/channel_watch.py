@@ -19,7 +19,7 @@ from smolbot.core.sensing import Recording
 from smolbot.errors import SafetyError
 from smolbot.flight.tracking.pose_gate import PoseGate
 from smolbot.localization.array.consistency import ChannelCheck, compute_gain_sigmas
-from smolbot.localization.array.terms import ArrayTerms
+from smolbot.localization.array.terms import DEVIATIONS_OF_DEVICE, ArrayTerms
 from smolbot.localization.estimator import Oscillation, PoseEstimator
 from smolbot.localization.localizer import Localizer, Swing
 from smolbot.localization.noise.model import NoiseModel
@@ -68,6 +68,10 @@ MEMORY = 0.95
 
 GAIN_INTERVAL = 5
 """Recordings after which the gains are checked."""
+
+CHANGED_MOMENT = 0.3
+"""Standard deviation of the logarithm of the moment in a check of sensors: a device that changes in flight is heard by
+all sensors alike, and is no reason to leave one out."""
 
 _NOT_MEASURED = "gives no signal"
 _DISAGREES = "disagrees with the other sensors"
@@ -166,7 +170,7 @@ class ChannelWatch:
         self._events: list[tuple[str, dict[str, object]]] = []
         self._frames = frames
         self.checks_signals = covariance is not None
-        self._covariance = np.zeros((0, 0)) if covariance is None else covariance
+        self._covariance = np.zeros((0, 0)) if covariance is None else _allow_changed_moment(covariance)
         self._may_leave_out = may_leave_out
         self._max_windows = max_windows
         n = len(frames)
@@ -421,6 +425,14 @@ class ChannelWatch:
 def _mask(recording: Recording, channels: BoolArray) -> Recording:
     """Return a recording in which some channels are not to be used."""
     return replace(recording, saturated=recording.saturated | channels) if channels.any() else recording
+
+
+def _allow_changed_moment(covariance: FloatArray) -> FloatArray:
+    """Return the covariance of deviations with a moment that may have changed."""
+    at = -DEVIATIONS_OF_DEVICE
+    changed = covariance.copy()
+    changed[at, at] = max(changed[at, at], CHANGED_MOMENT**2)
+    return changed
 
 
 def _is_suspicious(swing: Oscillation | None) -> bool:
