@@ -34,7 +34,7 @@ from smolbot.flight.tracking.resonance_filter import ResonanceFilter
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.localization.array.filter import ArrayFilter
 from smolbot.localization.estimator import Oscillation, PoseEstimator
-from smolbot.localization.localizer import Swing
+from smolbot.localization.localizer import MIN_R_SQUARED, Swing
 from smolbot.localization.noise.actuation_decay import CoilDecays
 from smolbot.motion.controller import Command
 from smolbot.runs.run import CycleRecord, Event, Listener, RecorderSink, Run, Status
@@ -380,7 +380,7 @@ class Loop:
                 raise PluginError(f"Estimator {estimator}: locate() must return a Pose; got {pose!r}.")
             if pose is not None and pose.trusted and not np.isfinite(pose.covariance).all():
                 pose, self._miss = replace(pose, trusted=False), "the covariance of the pose is not finite"
-            if pose is not None and pose.trusted and self._trusts_track:
+            if pose is not None and pose.r_squared >= MIN_R_SQUARED and self._trusts_track:
                 pose = self._check_device(pose, swing, recording.clock)
         doubted = self.tracker.learned
         tracked = self.tracker.update(shot, pose, swing)

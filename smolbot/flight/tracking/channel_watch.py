@@ -53,8 +53,8 @@ MIN_CHECKED = MIN_OUTPUTS + 1
 """Fewest sensors that can check each other."""
 
 MAX_SIGMA = 0.7e-3
-"""Standard deviation, in m, up to which a pose from the remaining sensors is trusted: of such poses, 99.7 % are less
-than 2 mm off."""
+"""Standard deviation, in m, in the direction in which it is largest, up to which a pose from the remaining sensors is
+trusted: of such poses, 99.6 % are less than 2 mm off there."""
 
 MAX_POWER_RATIO = 100.0
 """Power of a sensor's residuals, relative to its noise, up to which it may only have become noisier."""
@@ -246,7 +246,7 @@ class ChannelWatch:
             found = Located(replace(pose, trusted=False), swing, objection)
         if self._doubts and isinstance(localizer, Localizer) and found.pose.trusted:
             self._check_return(localizer, usable, found)
-            sigma = math.sqrt(float(np.diag(found.pose.covariance)[:3].max()))
+            sigma = math.sqrt(float(np.linalg.eigvalsh(found.pose.covariance[:3, :3])[-1]))
             if sigma > MAX_SIGMA:
                 why = f"without sensors {self.left_out} the pose is known to {1e3 * sigma:.1f} mm only"
                 return Located(replace(found.pose, trusted=False), found.swing, why)
