@@ -25,8 +25,8 @@ MIN_INFORMATION = 1e-6
 """Share of the largest information of a sensor's response below which a direction of it is not tested."""
 
 CHANGED_RESONANCE = 5.0
-"""Size of a change of frequency and damping in flight, relative to what is assumed of a device that does not change. Such
-a change is heard by all sensors alike, and is no reason to leave one out."""
+"""Size of a change of frequency and damping in flight, relative to what is assumed of a device that does not change.
+Such a change is heard by all sensors alike, and is no reason to leave one out."""
 
 TINY = 1e-300
 """Information that keeps a quotient finite."""
