@@ -34,6 +34,7 @@ from smolbot.flight.tracking.resonance_filter import ResonanceFilter
 from smolbot.flight.tracking.tracker import Tracker
 from smolbot.localization.array.filter import ArrayFilter
 from smolbot.localization.estimator import Oscillation, PoseEstimator
+from smolbot.localization.localizer import MIN_R_SQUARED, Swing
 from smolbot.localization.noise.actuation_decay import CoilDecays
 from smolbot.motion.controller import Command
 from smolbot.runs.run import CycleRecord, Event, Listener, RecorderSink, Run, Status
@@ -192,6 +193,7 @@ class Loop:
         self._found = 0.0  # end of the last shot with an accepted pose, in s
         self._miss = ""  # why the last window gave no pose, where that is known
         self._lost = ""  # why the signal is lost, once the record says that it is
+        self._doubts_device = False  # whether the last window contradicts the assumed device
         self._losses = 0  # losses of the signal that were overcome
 
     def fly(self) -> Run:
@@ -378,6 +380,8 @@ class Loop:
                 raise PluginError(f"Estimator {estimator}: locate() must return a Pose; got {pose!r}.")
             if pose is not None and pose.trusted and not np.isfinite(pose.covariance).all():
                 pose, self._miss = replace(pose, trusted=False), "the covariance of the pose is not finite"
+            if pose is not None and pose.r_squared >= MIN_R_SQUARED and self._trusts_track:
+                pose = self._check_device(pose, swing, recording.clock)
         doubted = self.tracker.learned
         tracked = self.tracker.update(shot, pose, swing)
         if self.tracker.learned and not doubted:
@@ -392,7 +396,7 @@ class Loop:
                 pose, self._miss = replace(pose, trusted=False), objection
         if self.array_filter is not None and self.tracker.motion is not None:
             self.array_filter.predict(*self.tracker.motion)
-        learns = not self.independent and tracked is not None and tracked.trusted
+        learns = not self.independent and tracked is not None and tracked.trusted and not self._doubts_device
         if recording is not None and swing is not None and learns:
             assert tracked is not None
             if self.array_filter is not None and pose is not None:
@@ -427,6 +431,28 @@ class Loop:
         for what, detail in watch.take_events():
             self._record_event(recording.clock, what, detail)
         return found.pose, found.swing
+
+    def _check_device(self, pose: Pose, swing: Oscillation | None, time: float) -> Pose:
+        """Check that the device swings as assumed; if it does not, it is learned anew, and the pose is not trusted."""
+        change = swing.estimate_device_change() if isinstance(swing, Swing) and swing.white else None
+        if change is None:
+            return pose
+        assert isinstance(swing, Swing)
+        was, device = self.resonance.relearning, self.scheduler.belief.device
+        reason = self.resonance.check(change, swing.degrees_of_freedom)
+        self._doubts_device = bool(reason)
+        if self.scheduler.belief.device is not device:
+            device = self.scheduler.belief.device
+            self.localizer = self.localizer.with_device(device)
+        if self.resonance.relearning and not was:
+            self._record_event(time, "device doubted", {"reason": reason})
+        elif was and not self.resonance.relearning:
+            detail: dict[str, object] = {"frequency_hz": device.frequency, "damping_per_s": device.damping}
+            self._record_event(time, "device retuned", detail)
+        if not reason:
+            return pose
+        self._miss = reason
+        return replace(pose, trusted=False)
 
     def _record_motion_model(self, time: float) -> None:
         """Record that the assumed motion model was given up, and what was learned instead."""

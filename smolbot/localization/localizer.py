@@ -25,7 +25,7 @@ from smolbot.localization.noise.excitation_transients import NEGLIGIBLE_AFTER
 from smolbot.localization.noise.model import NoiseModel
 from smolbot.localization.noise.residuals import compute_energies
 from smolbot.localization.noise.whitening import prepare_whitened
-from smolbot.localization.problem import Fit, Problem, prepare_paper
+from smolbot.localization.problem import DeviceChange, Fit, Problem, prepare_paper
 from smolbot.localization.segments import SharedAmplitude, cut_segments, find_anchor
 
 Estimator = Literal["whitened", "paper"]
@@ -193,6 +193,16 @@ class Swing:
         covariance : ndarray, shape (2, 2)
         """
         return self._problem.estimate_resonance_error(self._fit, self._variance)
+
+    def estimate_device_change(self) -> DeviceChange | None:
+        """Estimate by how much frequency and damping differ from the device's, and how much that explains.
+
+        Returns
+        -------
+        DeviceChange or None
+            None where they are not determined.
+        """
+        return self._problem.estimate_device_change(self._fit)
 
 
 class Localizer(PoseEstimatorBase):

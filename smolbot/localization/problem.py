@@ -59,6 +59,29 @@ class Fit(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class DeviceChange:
+    """Change of the device that a finished fit suggests, if it is free to swing otherwise than assumed.
+
+    Attributes
+    ----------
+    offset : ndarray, shape (2,), in Hz and 1/s
+        Estimated minus assumed frequency and damping.
+    covariance : ndarray, shape (2, 2)
+        Of the offset, for residuals of variance one.
+    before, after : float
+        Sum squared error without and with the change.
+    held : bool
+        Whether the fit's amplitude is at its bound: nothing swings beyond the stops, so that the model is wrong.
+    """
+
+    offset: FloatArray
+    covariance: FloatArray
+    before: float
+    after: float
+    held: bool
+
+
+@dataclass(frozen=True, eq=False)
 class LinearModel:
     """The part of a fit that is the same for all recordings of one kind.
 
@@ -324,6 +347,43 @@ class Problem:
         inverse = np.linalg.inv(information)
         uncertainty = np.asarray(variance * inverse, dtype=np.float64)
         return inverse @ (free.T @ residual), uncertainty
+
+    def estimate_device_change(self, fit: Fit) -> DeviceChange | None:
+        """Estimate by how much frequency and damping differ from the device's, and how much that explains.
+
+        One Gauss-Newton step for ten parameters, in which no bound holds the amplitude.
+
+        Parameters
+        ----------
+        fit : Fit
+
+        Returns
+        -------
+        DeviceChange or None
+            None where frequency and damping are not determined.
+        """
+        place = (fit.position, fit.rotation, fit.phase, fit.amplitude)
+        out, jacobian = self.model.compute_response(*place)
+        slopes = [self.model.compute_response(*place, matrix=slope)[0] for slope in self.model.slopes]
+        design = np.column_stack([jacobian, *slopes])
+        scale = np.sqrt(np.einsum("ij,ij->j", design, design))
+        if not (np.isfinite(scale).all() and (scale > 0.0).all()):
+            return None
+        design /= scale
+        normal = design.T @ design
+        if np.linalg.cond(normal) > MAX_CONDITION:
+            return None
+        residual = self.data - out
+        inverse = np.linalg.inv(normal)
+        step = inverse @ (design.T @ residual)
+        left = residual - design @ step
+        return DeviceChange(
+            step[-2:] / scale[-2:],
+            inverse[-2:, -2:] / np.outer(scale[-2:], scale[-2:]),
+            float(residual @ residual),
+            float(left @ left),
+            held=bool(fit.amplitude >= self.model.amplitude_max),
+        )
 
     def estimate_phase_and_amplitude(self, position: FloatArray, rotation: FloatArray) -> tuple[float, float]:
         """Estimate phase and amplitude at a fixed pose by a linear solve.

@@ -19,7 +19,7 @@ from smolbot.core.sensing import Recording
 from smolbot.errors import SafetyError
 from smolbot.flight.tracking.pose_gate import PoseGate
 from smolbot.localization.array.consistency import ChannelCheck, compute_gain_sigmas
-from smolbot.localization.array.terms import ArrayTerms
+from smolbot.localization.array.terms import DEVIATIONS_OF_DEVICE, ArrayTerms
 from smolbot.localization.estimator import Oscillation, PoseEstimator
 from smolbot.localization.localizer import Localizer, Swing
 from smolbot.localization.noise.model import NoiseModel
@@ -53,8 +53,8 @@ MIN_CHECKED = MIN_OUTPUTS + 1
 """Fewest sensors that can check each other."""
 
 MAX_SIGMA = 0.7e-3
-"""Standard deviation, in m, up to which a pose from the remaining sensors is trusted: of such poses, 99.7 % are less
-than 2 mm off."""
+"""Standard deviation, in m, in the direction in which it is largest, up to which a pose from the remaining sensors is
+trusted: of such poses, 99.6 % are less than 2 mm off there."""
 
 MAX_POWER_RATIO = 100.0
 """Power of a sensor's residuals, relative to its noise, up to which it may only have become noisier."""
@@ -68,6 +68,10 @@ MEMORY = 0.95
 
 GAIN_INTERVAL = 5
 """Recordings after which the gains are checked."""
+
+CHANGED_MOMENT = 0.3
+"""Standard deviation of the logarithm of the moment in a check of sensors: a device that changes in flight is heard by
+all sensors alike, and is no reason to leave one out."""
 
 _NOT_MEASURED = "gives no signal"
 _DISAGREES = "disagrees with the other sensors"
@@ -166,7 +170,7 @@ class ChannelWatch:
         self._events: list[tuple[str, dict[str, object]]] = []
         self._frames = frames
         self.checks_signals = covariance is not None
-        self._covariance = np.zeros((0, 0)) if covariance is None else covariance
+        self._covariance = np.zeros((0, 0)) if covariance is None else _allow_changed_moment(covariance)
         self._may_leave_out = may_leave_out
         self._max_windows = max_windows
         n = len(frames)
@@ -242,7 +246,7 @@ class ChannelWatch:
             found = Located(replace(pose, trusted=False), swing, objection)
         if self._doubts and isinstance(localizer, Localizer) and found.pose.trusted:
             self._check_return(localizer, usable, found)
-            sigma = math.sqrt(float(np.diag(found.pose.covariance)[:3].max()))
+            sigma = math.sqrt(float(np.linalg.eigvalsh(found.pose.covariance[:3, :3])[-1]))
             if sigma > MAX_SIGMA:
                 why = f"without sensors {self.left_out} the pose is known to {1e3 * sigma:.1f} mm only"
                 return Located(replace(found.pose, trusted=False), found.swing, why)
@@ -421,6 +425,14 @@ class ChannelWatch:
 def _mask(recording: Recording, channels: BoolArray) -> Recording:
     """Return a recording in which some channels are not to be used."""
     return replace(recording, saturated=recording.saturated | channels) if channels.any() else recording
+
+
+def _allow_changed_moment(covariance: FloatArray) -> FloatArray:
+    """Return the covariance of deviations with a moment that may have changed."""
+    at = -DEVIATIONS_OF_DEVICE
+    changed = covariance.copy()
+    changed[at, at] = max(changed[at, at], CHANGED_MOMENT**2)
+    return changed
 
 
 def _is_suspicious(swing: Oscillation | None) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 from smolbot.core.arrays import FloatArray
 from smolbot.core.sensing import Device
 from smolbot.flight.device_belief import DeviceBelief
+from smolbot.localization.problem import DeviceChange
 
 START_STD = np.array([0.3, 3.0])
 """Initial standard deviation of frequency (Hz) and damping (1/s)."""
@@ -26,6 +27,22 @@ GATE = 25.0
 MIN_SIGMAS = 4.0
 """Number of standard deviations by which a change must be significant."""
 
+MIN_MISFIT_SIGMAS = 4.0
+"""Standard deviations by which the residuals of a fit must exceed the noise for the device to be doubted."""
+
+MIN_EXPLAINED = 0.5
+"""Share of the excess of the residuals that a changed device must explain; otherwise something else is wrong."""
+
+MIN_CONTRADICTIONS = 2
+"""Recordings in a row that contradict the device before it is learned anew: one may be disturbed by a passing tool."""
+
+CHANGED_FREQUENCY_STD, CHANGED_DAMPING_SHARE = 2.0, 0.5
+"""Standard deviations of a change: of the frequency, in Hz, and of the damping, relative to itself."""
+
+RELEARNED_STD = 1.5
+"""Standard deviation of the damping, in 1/s, from which poses are trusted again: over the 20 ms from the end of a drive
+to the middle of a window it leaves 3 % of the amplitude unknown, about as much as drives differ from each other."""
+
 
 class ResonanceFilter:
     """A Kalman filter of the deviations of frequency and damping from the assumed device.
@@ -43,6 +60,8 @@ class ResonanceFilter:
         self._deviation = np.zeros(2)
         self._covariance = np.diag(START_STD**2)
         self._time: float | None = None
+        self._contradictions = 0  # recordings in a row
+        self._changed = False  # whether the device is being learned anew
 
     @property
     def deviation(self) -> FloatArray:
@@ -92,3 +111,71 @@ class ResonanceFilter:
         )
         self._deviation = np.zeros(2)
         return self.belief.device
+
+    def check(self, change: DeviceChange, degrees_of_freedom: int) -> str:
+        """Check whether a recording contradicts the assumed device, and learn it anew if several do.
+
+        While it is learned, every recording replaces the device of the belief.
+
+        Parameters
+        ----------
+        change : DeviceChange
+            That the recording suggests.
+        degrees_of_freedom : int
+            Of its residuals.
+
+        Returns
+        -------
+        str
+            Why the pose of the recording is not to be trusted; empty if it may be.
+        """
+        contradicted = self._is_contradicted(change, degrees_of_freedom)
+        self._contradictions = self._contradictions + 1 if contradicted else 0
+        if not self._changed:
+            if not contradicted:
+                return ""
+            if self._contradictions >= MIN_CONTRADICTIONS:
+                self._changed = True
+                damping = START_STD[1] + CHANGED_DAMPING_SHARE * self.belief.device.damping
+                self._deviation = np.zeros(2)
+                self._covariance = np.diag([CHANGED_FREQUENCY_STD**2, damping**2])
+        elif not contradicted and self.sigma[1] < RELEARNED_STD:
+            self._changed = False
+            return ""
+        if self._changed:
+            self._relearn(change, degrees_of_freedom)
+        frequency, damping = change.offset
+        return (
+            f"the device does not swing as assumed (frequency {frequency:+.1f} Hz, damping {damping:+.1f} 1/s): "
+            "its poses are not trusted until that is learned"
+        )
+
+    @property
+    def relearning(self) -> bool:
+        """Whether the device was found to have changed, and is being learned anew."""
+        return self._changed
+
+    def _is_contradicted(self, change: DeviceChange, freedom: int) -> bool:
+        excess = change.before - freedom
+        if not excess > MIN_MISFIT_SIGMAS * np.sqrt(2.0 * freedom):
+            return False
+        explained = change.before - change.after
+        if explained < MIN_EXPLAINED * excess:
+            return False
+        innovation = change.offset - self._deviation
+        total = self._covariance + self._compute_noise(change, freedom)
+        far = float(innovation @ np.linalg.solve(total, innovation)) > GATE
+        return far or (change.held and explained > GATE)
+
+    def _relearn(self, change: DeviceChange, freedom: int) -> None:
+        gain = self._covariance @ np.linalg.inv(self._covariance + self._compute_noise(change, freedom))
+        step = gain @ change.offset
+        self._covariance = (np.eye(2) - gain) @ self._covariance
+        device = self.belief.device
+        self.belief.retune(device.frequency + float(step[0]), max(device.damping + float(step[1]), 0.0))
+
+    @staticmethod
+    def _compute_noise(change: DeviceChange, freedom: int) -> FloatArray:
+        """Compute the covariance of a recording's offset."""
+        variance = max(change.after / freedom, 1.0)
+        return np.asarray(variance * change.covariance + np.diag(MEASUREMENT_FLOOR**2))

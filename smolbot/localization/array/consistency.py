@@ -24,6 +24,10 @@ from smolbot.localization.problem import Fit, Problem
 MIN_INFORMATION = 1e-6
 """Share of the largest information of a sensor's response below which a direction of it is not tested."""
 
+CHANGED_RESONANCE = 5.0
+"""Size of a change of frequency and damping in flight, relative to what is assumed of a device that does not change.
+Such a change is heard by all sensors alike, and is no reason to leave one out."""
+
 TINY = 1e-300
 """Information that keeps a quotient finite."""
 
@@ -68,7 +72,9 @@ def check_channels(problem: Problem, fit: Fit, frames: FloatArray, covariance: F
     used = np.concatenate([np.repeat(model.used, DEVIATIONS_PER_SENSOR), np.ones(2, dtype=np.bool_)])
     weights, vectors = np.linalg.eigh(covariance[np.ix_(used, used)])
     spread = (vectors * np.sqrt(np.maximum(weights, 0.0))).T @ changes.deviations
-    unknown = np.concatenate([spread, changes.disturbances])
+    disturbances = changes.disturbances.copy()
+    disturbances[-2:] *= CHANGED_RESONANCE  # frequency and damping
+    unknown = np.concatenate([spread, disturbances])
     inner = np.linalg.inv(np.eye(len(unknown)) + unknown @ unknown.T)
     inverse = np.eye(len(changes.out)) - unknown.T @ inner @ unknown  # C^-1
     weighted = changes.jacobian @ inverse

@@ -13,6 +13,7 @@ from smolbot.flight.tracking.resonance_filter import (
     START_STD,
     ResonanceFilter,
 )
+from smolbot.localization.problem import DeviceChange
 
 DEVICE = Device(0.89e-3, np.array([0.0, 0.0, 1.0]), 1.5e-3, 0.31, 103.5, 31.7, "exponential")
 COVARIANCE = np.diag([0.12**2, 0.5**2])
@@ -164,3 +165,51 @@ def test_a_change_has_to_stand_out_by_four_standard_deviations(entry, deviations
     sigma = np.sqrt((1.0 - gain) * START_STD**2)
     device = resonance.update(0.0, (deviations * sigma / gain) * np.eye(2)[entry], claim)
     assert (device is not None) == replaced
+
+
+FREEDOM = 70
+"""Degrees of freedom of a recording's residuals."""
+
+
+def make_change(truth, device, *, unexplained: float = 0.0, held: bool = False) -> DeviceChange:
+    """Make the change that a noiseless recording of a true device suggests."""
+    offset = np.array(truth) - [device.frequency, device.damping]
+    covariance = np.diag([0.3**2, 1.0**2])
+    after = FREEDOM + unexplained
+    return DeviceChange(offset, covariance, after + float(offset @ np.linalg.solve(covariance, offset)), after, held)
+
+
+@pytest.mark.parametrize("truth", [(103.5, 19.0), (103.5, 51.0), (101.0, 31.7)])
+def test_a_device_that_changes_is_doubted_and_learned_in_a_few_recordings(truth):
+    resonance = ResonanceFilter(DeviceBelief(DEVICE))
+    follow(resonance, np.array([103.5, 31.7]), 100)
+    assert "does not swing as assumed" in resonance.check(make_change(truth, resonance.belief.device), FREEDOM)
+    assert resonance.belief.device is DEVICE  # one recording may be disturbed
+    reasons = [resonance.check(make_change(truth, resonance.belief.device), FREEDOM) for _ in range(6)]
+    assert reasons[0]
+    assert not reasons[-1]
+    assert not resonance.relearning
+    assert resonance.belief.device.frequency == pytest.approx(truth[0], abs=0.1)
+    assert resonance.belief.device.damping == pytest.approx(truth[1], abs=1.0)
+
+
+def test_a_device_that_swings_beyond_its_stops_is_doubted():
+    resonance = ResonanceFilter(DeviceBelief(DEVICE))
+    follow(resonance, np.array([103.5, 31.7]), 100)
+    change = replace(make_change((103.5, 28.5), DEVICE), before=4.0 * FREEDOM)
+    assert resonance.check(change, FREEDOM) == ""
+    assert resonance.check(replace(change, held=True), FREEDOM)
+
+
+def test_residuals_that_no_change_of_the_device_explains_do_not_change_it():
+    resonance = ResonanceFilter(DeviceBelief(DEVICE))
+    follow(resonance, np.array([103.5, 31.7]), 100)
+    for _ in range(5):
+        assert resonance.check(make_change((103.5, 19.0), DEVICE, unexplained=10.0 * FREEDOM), FREEDOM) == ""
+    assert resonance.belief.device is DEVICE
+
+
+def test_a_device_that_does_not_change_is_not_doubted():
+    resonance = ResonanceFilter(DeviceBelief(DEVICE))
+    follow(resonance, np.array([103.5, 31.7]), 100)
+    assert all(resonance.check(make_change((103.6, 33.0), DEVICE), FREEDOM) == "" for _ in range(20))
