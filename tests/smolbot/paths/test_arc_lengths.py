@@ -40,4 +40,4 @@ def test_a_part_that_was_left_out_moves_no_other_position() -> None:
 
 
 def test_no_position_has_no_arc_length() -> None:
-    assert len(assign_arc_lengths(Curve([[0, 0, 0], [0.01, 0, 0]]), np.zeros((0, 3)))) == 0
+    assert len(assign_arc_lengths(Curve(np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]])), np.zeros((0, 3)))) == 0
