@@ -11,7 +11,11 @@ from smolbot.errors import InputError
 MAINS_HZ = 50.0
 SPIKE_RATE_HZ = 20.0
 
+LEAST_DRAG = 0.01
+"""Least factor of a drag: the model has no inertia, and without drag no speed either."""
+
 _FACTOR = FaultValue("factor", low=0.0)
+_DRAG_FACTOR = FaultValue("factor", low=LEAST_DRAG)
 _SIGNED_FACTOR = FaultValue("factor")
 _HUM = (FaultValue("amplitude", "nT"), FaultValue("frequency", "Hz", MAINS_HZ, low=0.0))
 
@@ -48,9 +52,9 @@ TANK_FAULTS = {
     "coil_gain": FaultKind(
         "actuation coils carry another current, by a factor", "coil", every=True, values=(_SIGNED_FACTOR,)
     ),
-    "drag": FaultKind("the drag against translation is another one, by a factor", values=(_FACTOR,)),
-    "rotation_drag": FaultKind("the drag against rotation is another one, by a factor", values=(_FACTOR,)),
-    "viscosity": FaultKind("the drag against both is another one, by a factor", values=(_FACTOR,)),
+    "drag": FaultKind("the drag against translation is another one, by a factor", values=(_DRAG_FACTOR,)),
+    "rotation_drag": FaultKind("the drag against rotation is another one, by a factor", values=(_DRAG_FACTOR,)),
+    "viscosity": FaultKind("the drag against both is another one, by a factor", values=(_DRAG_FACTOR,)),
     "flow": FaultKind(
         "the liquid flows", values=(FaultValue("speed", "mm/s"), FaultValue("direction from x toward y", "deg", 0.0))
     ),
@@ -125,7 +129,7 @@ def find_channels(fault: InjectedFault, rig: RigConfig) -> tuple[int, ...]:
     Raises
     ------
     InputError
-        If the rig has no such channel.
+        If the rig has no such channel, or a sensor is to be swapped with itself.
     """
     kind = TANK_FAULTS[fault.name]
     names = {
@@ -139,7 +143,10 @@ def find_channels(fault: InjectedFault, rig: RigConfig) -> tuple[int, ...]:
     if not names:
         raise InputError(f"--fault {fault.text}: '{rig.name}' has no {kind.channel}.")
     if fault.name == "sensors_swapped":
-        require_channel(fault, f"{fault.values[0]:g}", names, rig)
+        other = f"{fault.values[0]:g}"
+        require_channel(fault, other, names, rig)
+        if other == (fault.channel or names[0]):
+            raise InputError(f"--fault {fault.text}: sensor {other} cannot be swapped with itself.")
     if not fault.channel:
         return tuple(range(len(names))) if kind.every else (0,)
     require_channel(fault, fault.channel, names, rig)

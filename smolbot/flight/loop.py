@@ -329,11 +329,16 @@ class Loop:
     def _play_checked(self, shot: Shot) -> Recording | None:
         """Play one shot that the safety supervisor has checked, and pass it to the recorder sink."""
         self.safety.check_shot(shot, self.rig.now(), self.tracker.pose)
-        recording = self.rig.play(shot)
+        recording = self._play(shot)
         ended = self.rig.now()
         if self._tape is not None:
             self._tape.record_shot(shot, recording, ended)
         return self.safety.check_recording(shot, recording, ended)
+
+    def _play(self, shot: Shot) -> Recording | None:
+        """Play one shot; an unexpected error of a lab's own rig names the rig and the line."""
+        with report_plugin_errors("Rig", self.rig, "play"):
+            return self.rig.play(shot)
 
     def _record_event(self, time: float, what: str, detail: dict[str, object]) -> None:
         event = Event(time, what, detail)
@@ -354,7 +359,7 @@ class Loop:
         shot = self.scheduler.next(command, self.tracker)
         self.safety.check_shot(shot, self.rig.now(), self.tracker.pose)
         planned = self._clock()
-        recording = self.rig.play(shot)
+        recording = self._play(shot)
         received, ended = self._clock(), self.rig.now()
         if self._tape is not None:
             self._tape.record_shot(shot, recording, ended)

@@ -68,3 +68,17 @@ def test_numbers_of_numpy_are_settings():
 def test_what_no_file_holds_is_no_setting():
     with pytest.raises(InputError, match=r"A setting must be text, a number, or a list or table of them; got <object"):
         smolbot.run("line", controller__tolerance_mm=object())
+
+
+@pytest.mark.parametrize("run", [3, None, ["runs/monday"]])
+def test_a_run_that_is_no_path_is_refused(run):
+    for use in (smolbot.read_run, smolbot.replay):
+        with pytest.raises(InputError, match="A run is named by a path, of its folder or its record; got "):
+            use(run)
+
+
+@pytest.mark.parametrize("force", [3, True, ["preview"], "previw"])
+def test_only_a_preview_can_be_overruled(force):
+    for use in (smolbot.run, lambda mission, force: smolbot.simulate(mission, [1], force=force), smolbot.tune):
+        with pytest.raises(InputError, match="force must be one of preview; got "):
+            use("line", force=force)

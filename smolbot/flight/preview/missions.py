@@ -50,7 +50,9 @@ def require_go(mission: AnyMission, force: str | None = None) -> None:
     """
     if force is not None:
         if force not in (known := get_args(Force)):
-            raise InputError(f"force must be one of {', '.join(known)}; got {force!r}.{suggest_name(force, known)}")
+            raise InputError(
+                f"force must be one of {', '.join(known)}; got {force!r}.{suggest_name(str(force), known)}"
+            )
         return
     found = preview_mission(mission)
     if not found.go:

@@ -9,6 +9,7 @@ import numpy as np
 from smolbot.config.mission import Mission
 from smolbot.core.arrays import FloatArray
 from smolbot.core.shots import Rotate
+from smolbot.paths.arc_lengths import assign_arc_lengths
 from smolbot.runs.pictures.style import LOCATED, PLANNED, STIFF, TRUE, draw_empty_note, draw_true_way, format_map_axes
 from smolbot.runs.summary import compute_axis_angle
 from smolbot.runs.trace import Moment, Trace, pair_with_truth
@@ -74,11 +75,13 @@ def draw_distance(axes: Axes, mission: Mission, trace: Trace) -> None:
     """
     places = [m.positions for m in trace.following]
     if places and trace.knows_truth:
-        arc, distance = mission.path.project(np.vstack(places))
+        trail = np.vstack(places)
+        arc, distance = assign_arc_lengths(mission.path, trail), mission.path.project(trail)[1]
         axes.plot(arc * 1e3, distance * 1e3, color=TRUE, lw=1.3)
         moments = [m for m in find_pauses(trace) if m.truth is not None and m.cycle.command.phase == "follow"]
         if moments:
-            at, off = mission.path.project(np.array([m.truth.position for m in moments if m.truth]))
+            stops = np.array([m.truth.position for m in moments if m.truth])
+            at, off = assign_arc_lengths(mission.path, stops), mission.path.project(stops)[1]
             axes.plot(at * 1e3, off * 1e3, "o", color=TRUE, ms=4.5, mfc="white", mew=1.4, label="pauses")
             axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=9, borderaxespad=0.0)
     else:
@@ -99,7 +102,7 @@ def draw_axis_error(axes: Axes, mission: Mission, trace: Trace) -> None:
     """
     known = pair_with_truth(trace.moments)
     if known:
-        arc, _ = mission.path.project(np.array([truth.position for _, truth in known]))
+        arc = assign_arc_lengths(mission.path, np.array([truth.position for _, truth in known]))
         angles = np.degrees([compute_axis_angle(pose, truth) for pose, truth in known])
         axes.plot(arc * 1e3, angles, ".", color=LOCATED, ms=5, alpha=0.7)
     else:
@@ -118,15 +121,16 @@ def draw_turns(axes: Axes, mission: Mission, trace: Trace) -> None:
     mission : Mission
     trace : Trace
     """
-    bars: list[tuple[float, float, float]] = []
+    starts: list[FloatArray] = []
+    maneuvers: list[tuple[float, float]] = []
     for before, moment in zip(trace.moments, trace.moments[1:], strict=False):
         rotations = [w for w in moment.cycle.shot.windows if isinstance(w, Rotate)]
         pose = before.cycle.tracked
         if rotations and pose is not None:
-            arc = float(mission.path.project(pose.position[None, :])[0][0])
-            bars.append((1e3 * arc, sum(w.turns for w in rotations), rotations[-1].frequency))
-    if bars:
-        rows: FloatArray = np.array(bars)
+            starts.append(pose.position)
+            maneuvers.append((sum(w.turns for w in rotations), rotations[-1].frequency))
+    if starts:
+        rows: FloatArray = np.column_stack([1e3 * assign_arc_lengths(mission.path, np.array(starts)), maneuvers])
         full = mission.rig.limits.max_rotation_frequency
         for slow, color, label in ((False, TRUE, f"{full:g} Hz"), (True, LOCATED, "slower, after a step-out")):
             chosen = rows[(rows[:, 2] < full - 1e-9) == slow]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -231,8 +232,10 @@ def find_record(run: str | Path) -> Path:
     Raises
     ------
     InputError
-        If there is none.
+        If there is none, or ``run`` is no path.
     """
+    if not isinstance(run, str | os.PathLike):
+        raise InputError(f"A run is named by a path, of its folder or its record; got {run!r}.")
     path = Path(run)
     if path.is_dir():
         inside = path / RECORD

@@ -9,6 +9,7 @@ import numpy as np
 
 from smolbot.core.arrays import FloatArray
 from smolbot.errors import report_write_errors
+from smolbot.paths.arc_lengths import assign_arc_lengths
 from smolbot.runs.pictures.style import COILS, PLANNED, draw_dots, draw_empty_note, escape_name
 from smolbot.runs.report.comparison import Comparison, compute_series
 from smolbot.runs.report.figures_of_merit import append_unit, format_number, get_unit
@@ -251,14 +252,15 @@ def _compute_error_curve(flight: RecordedFlight, kind: str) -> tuple[FloatArray,
         places = np.vstack([np.zeros((0, 3)), *(m.positions for m in flight.trace.following)])
         if not len(places):
             return np.zeros(0), np.zeros(0)
-        return 1e3 * mission.path.project(places)[0], 1e3 * compute_tracking_distance(mission, flight.trace.following)
+        arc = 1e3 * assign_arc_lengths(mission.path, places)
+        return arc, 1e3 * compute_tracking_distance(mission, flight.trace.following)
     if mission is not None:
         moments = flight.trace.following
     pairs = pair_with_truth(moments)
     value = 1e3 * np.array([np.linalg.norm(p.position - t.position) for p, t in pairs])
     if mission is None or not pairs:
         return np.array([p.time for p, _ in pairs]), value
-    return 1e3 * mission.path.project(np.array([t.position for _, t in pairs]))[0], value
+    return 1e3 * assign_arc_lengths(mission.path, np.array([t.position for _, t in pairs])), value
 
 
 def _draw_error_curve(

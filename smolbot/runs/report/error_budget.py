@@ -23,6 +23,7 @@ from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
 from smolbot.core.shots import Actuate, Window
 from smolbot.motion.gradient import advance
+from smolbot.paths.arc_lengths import assign_arc_lengths
 from smolbot.runs.report.recorded_flight import RecordedFlight
 from smolbot.runs.trace import Moment
 
@@ -150,7 +151,8 @@ def compute_budget(mission: Mission, steps: list[BudgetStep]) -> ErrorBudget | N
         "aim": np.where(saturated, 0.0, aim),
         "mismatch": along([(s.reached - s.acting) - (s.expected - s.tracked) for s in steps]),
     }
-    return ErrorBudget(np.array([step.time for step in steps]), arc, side * distance, parts)
+    in_order = assign_arc_lengths(mission.path, np.column_stack([reached, np.zeros(len(reached))]))
+    return ErrorBudget(np.array([step.time for step in steps]), in_order, side * distance, parts)
 
 
 def find_steps(flight: RecordedFlight) -> list[BudgetStep]:

@@ -10,6 +10,7 @@ from smolbot.config.mission import Mission
 from smolbot.config.observation import Observation
 from smolbot.core.arrays import FloatArray
 from smolbot.core.pose import Pose
+from smolbot.paths.arc_lengths import assign_arc_lengths
 from smolbot.runs.pictures import gradient_run as picture
 from smolbot.runs.pictures import helix_run as helixpicture
 from smolbot.runs.pictures import observation_run as observation_picture
@@ -115,7 +116,7 @@ def draw_errors_figure(flight: RecordedFlight) -> Figure:
     if moments:
         positions = np.vstack([m.positions for m in moments])
         off = 1e3 * compute_tracking_distance(mission, moments)
-        arc = 1e3 * mission.path.project(positions)[0]
+        arc = 1e3 * assign_arc_lengths(mission.path, positions)
         times = np.concatenate([_list_times(m) for m in moments])
         rows[0, 0].plot(times, off, color=TRUE, lw=1.1)
         draw_dots(rows[0, 1], arc, off, 2.4, TRUE, alpha=0.8)
@@ -158,9 +159,10 @@ def draw_localization_errors(over_time: Axes, along: Axes, flight: RecordedFligh
     draw_dots(over_time, times, raw, 2.2, LOCATED, alpha=0.6, label="each pose")
     over_time.plot(times, tracked, color=TRUE, lw=1.1, label="tracked")
     follows = np.array([m.cycle.command.phase == "follow" for m in known])
-    arc = 1e3 * mission.path.project(np.array([m.truth.position for m in known if m.truth]))[0]
-    draw_dots(along, arc[follows], raw[follows], 2.2, LOCATED, alpha=0.6)
-    draw_dots(along, arc[follows], tracked[follows], 2.2, TRUE, alpha=0.8)
+    places = np.array([m.truth.position for m, follow in zip(known, follows, strict=True) if m.truth and follow])
+    arc = 1e3 * assign_arc_lengths(mission.path, places.reshape(-1, 3))
+    draw_dots(along, arc, raw[follows], 2.2, LOCATED, alpha=0.6)
+    draw_dots(along, arc, tracked[follows], 2.2, TRUE, alpha=0.8)
     over_time.set_ylim(0.0, 1.1 * float(np.nanpercentile(raw, 99.5)))
     over_time.legend(loc="upper right", ncol=2)
 

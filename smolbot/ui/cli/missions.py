@@ -79,7 +79,7 @@ def _show_preview(mission: Mission, found: Preview, json: bool) -> None:
         ("path", _format_path(found)),
         *[("", remark) for remark in found.remarks],
         ("expected duration", _format_duration(found)),
-        ("along the path", _format_pace(found)),
+        *([("along the path", _format_pace(found))] if found.path_time > 0.0 else []),
         *_force_rows(mission, found.force_profile),
         (
             "localization error",
@@ -122,9 +122,14 @@ def _force_rows(mission: Mission, reach: ForceProfile | None) -> list[tuple[str,
     x, y = reach.points[worst, :2] * 1e3
     middle, most = np.degrees([np.median(reach.direction_error), reach.direction_error[worst]])
     return [
-        ("force along the path", f"{reach.force.min() * 1e6:.3g} to {reach.force.max() * 1e6:.3g} µN"),
+        ("force along the path", f"{_format_force(reach.force.min())} to {_format_force(reach.force.max())} µN"),
         ("force direction error", f"median {middle:.0f}°, worst {most:.0f}° at ({x:.1f}, {y:.1f}) mm"),
     ]
+
+
+def _format_force(force: float) -> str:
+    """Format a force in N with three significant digits, in µN and never with a power of ten."""
+    return f"{force * 1e6:.3g}" if force < 0.999e-3 else f"{force * 1e6:.0f}"
 
 
 def _force_figures(reach: ForceProfile | None) -> dict[str, Any]:
@@ -197,8 +202,6 @@ def _format_duration(found: Preview) -> str:
 
 
 def _format_pace(found: Preview) -> str:
-    if not found.path_time > 0.0:
-        return "does not end"
     got = f"{found.path_time:.0f} s, {found.length * 1e3 / found.path_time:.2f} mm/s on average"
     if found.requested_time is None:
         return got

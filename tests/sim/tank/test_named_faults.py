@@ -51,7 +51,7 @@ def test_a_fault_is_read_with_channel_values_moment_and_duration() -> None:
     [
         "sensor_gane.3=0.5", "sensor_gain.3", "sensor_gain.3=half", "sensor_gain.3=0.5,2", "sensor_gain.3=0.5@noon",
         "sensor_gain.3=0.5@30s:0", "sensor_gain.3=0.5@listening#0", "sensor_offset=5A", "drag.x=0.5", "drag=-1",
-        "drag=nan", "windows_lost=2",
+        "drag=0", "drag=nan", "windows_lost=2",
     ],
 )  # fmt: skip
 def test_a_fault_that_cannot_be_read_says_what_can(text: str) -> None:
@@ -64,6 +64,12 @@ def test_a_fault_that_cannot_be_read_says_what_can(text: str) -> None:
 @pytest.mark.parametrize("text", ["sensor_dead.10", "coil_dead.left", "excitation_lost.z", "sensors_swapped.1=10"])
 def test_a_channel_that_the_rig_does_not_have_is_refused_with_those_that_it_has(text: str) -> None:
     with pytest.raises(InputError, match="it has "):
+        open_tank(text)
+
+
+@pytest.mark.parametrize("text", ["sensors_swapped.3=3", "sensors_swapped=0"])
+def test_a_sensor_cannot_be_swapped_with_itself(text: str) -> None:
+    with pytest.raises(InputError, match="cannot be swapped with itself"):
         open_tank(text)
 
 

@@ -15,7 +15,7 @@ from smolbot.config.mission import load_steering_mission
 from smolbot.config.plugins import load_world
 from smolbot.core.sensing import Recording
 from smolbot.core.shots import Actuate, Excite, Listen, RingDown, Rotate, Shot
-from smolbot.errors import ConfigError, InputError, InterlockError, RigError, SmolbotError
+from smolbot.errors import ConfigError, InputError, InterlockError, PluginError, RigError, SmolbotError
 from smolbot.flight import session as flying
 from smolbot.flight.assembly import make_loop
 from smolbot.flight.loop import Loop
@@ -256,6 +256,19 @@ def test_a_failing_rig_ends_the_flight_with_its_reason(plain, fly_wrapped, tmp_p
     assert rig.stops >= 1
     assert len(run.cycles) == 3
     assert {p.name for p in (tmp_path / "run").iterdir()} == FILES - {LEARNED_SENSORS_FILE}
+
+
+def test_an_unexpected_error_of_a_labs_rig_names_the_rig_and_leaves_outputs_at_zero(
+    plain, fly_wrapped, tmp_path, monkeypatch
+):
+    stopped = []
+    monkeypatch.setattr(Wrapped, "stop", lambda self: stopped.append(self) or self.inner.stop())
+    with pytest.raises(PluginError, match=r"Rig \S*:Wrapped failed in play\(\): KeyError: 'gone' \(.*\.py:\d+\)"):
+        fly_wrapped(plain, fail_at=4, error=KeyError("gone"), folder=RunFolder(tmp_path / "run"))
+    assert stopped
+    summary = json.loads((tmp_path / "run/summary.json").read_text())
+    assert (summary["status"], summary["cycles"]) == ("failed", 3)
+    assert "Wrapped failed in play()" in summary["stop_reason"]
 
 
 def test_a_rig_that_fails_at_once_still_leaves_a_folder(plain, fly_wrapped, tmp_path):
