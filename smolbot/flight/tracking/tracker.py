@@ -195,7 +195,7 @@ class Tracker:
     def compute_log_likelihood(self) -> float:
         """Compute the log-likelihood of the pose of the last update before it was used.
 
-            l = -(d^2 + ln |S|) / 2
+            l = -(d^2 + ln det S) / 2
 
         with its squared Mahalanobis distance d^2 and the covariance S of the innovation.
 
