@@ -57,7 +57,8 @@ nitpick_ignore_regex = [
     (r"py:class", r"smolbot\.config\.document\.Model"),  # a type variable
     (r"py:class", r"(sim\.(tank|reduced)\.rig\.)?(TankRig|TankStage|ReducedRig)"),  # keep the protocol Rig
     # parts of the loop, which are handed in and not made by hand
-    (r"py:class", r"smolbot\.flight\.(loop|pause|preparation|safety|scheduler)\..*"),
+    (r"py:class", r"smolbot\.flight\.(loop|pause|preparation|safety|scheduler|tracking\.channel_watch)\..*"),
+    (r"py:class", r"smolbot\.paths\.visits\.Visits"),  # between summary and verdict
     (r"py:class", r"smolbot\.(localization\.(array|synthetic)|runs\.(folder|recording\.message_queue))\..*"),
 ]
 
