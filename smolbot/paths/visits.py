@@ -169,23 +169,6 @@ def find_visits(path: Curve, positions: FloatArray, tolerance: float) -> Visits:
     return Visits(float(visited.mean()), skipped)
 
 
-def compute_visited_share(path: Curve, positions: FloatArray, tolerance: float) -> float:
-    """Compute the share of a path that a robot visited in the path's order; see `find_visits`.
-
-    Parameters
-    ----------
-    path : Curve
-    positions : ndarray, shape (n, 3), in m, world frame
-    tolerance : float, in m
-
-    Returns
-    -------
-    float
-        0 to 1.
-    """
-    return find_visits(path, positions, tolerance).share
-
-
 def compute_local_tolerance(places: FloatArray, spacing: float, tolerance: float) -> FloatArray:
     """Compute the distance within which each place of a path counts as visited: smaller in small loops.
 

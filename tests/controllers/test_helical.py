@@ -16,7 +16,7 @@ from smolbot.flight.pilots import Follower
 from smolbot.motion import helix_kernels as kernels
 from smolbot.motion.controller import Command
 from smolbot.paths.curve import Curve
-from smolbot.paths.visits import compute_visited_share
+from smolbot.paths.visits import find_visits
 from tests.conftest import mission_of
 
 KNOWN = np.diag([5e-5] * 3 + [5e-3] * 3) ** 2
@@ -116,7 +116,7 @@ def test_a_path_that_crosses_or_repeats_itself_is_screwed_along_whole_and_in_ord
                 for i in range(2, len(command.mechanical) + 1)
             ]
     assert command.done
-    assert compute_visited_share(path, np.array(trail), 1.2e-3) > 0.99
+    assert find_visits(path, np.array(trail), 1.2e-3).share > 0.99
 
 
 def test_a_pose_far_from_everything_ends_nothing():

@@ -73,7 +73,6 @@ CHANGED_MOMENT = 0.3
 """Standard deviation of the logarithm of the moment in a check of sensors: a device that changes in flight is heard by
 all sensors alike, and is no reason to leave one out."""
 
-_NOT_MEASURED = "gives no signal"
 _DISAGREES = "disagrees with the other sensors"
 
 

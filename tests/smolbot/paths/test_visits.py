@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from smolbot.errors import InputError
 from smolbot.paths.curve import Curve
-from smolbot.paths.visits import compute_visited_share, divide_path, find_visits
+from smolbot.paths.visits import divide_path, find_visits
 
 TOLERANCE = 0.8e-3
 
@@ -55,7 +55,7 @@ def test_a_part_of_any_path_is_visited_by_flying_it_and_hardly_more(name, share)
     path = PATHS[name]
     rng = np.random.default_rng(0)
     trail = path.at(np.linspace(0.0, share * path.length, 400)) + 0.1e-3 * rng.normal(size=(400, 3))
-    visited = compute_visited_share(path, trail, TOLERANCE)
+    visited = find_visits(path, trail, TOLERANCE).share
     assert share - 1e-2 <= visited <= share + 4.0 * TOLERANCE / path.length + 1e-2
 
 
@@ -63,7 +63,7 @@ def test_a_part_of_any_path_is_visited_by_flying_it_and_hardly_more(name, share)
 def test_a_path_flown_backwards_is_not_visited_in_order(name):
     path = PATHS[name]
     backwards = path.at(np.linspace(path.length, 0.0, 400))
-    assert compute_visited_share(path, backwards, TOLERANCE) < 0.55
+    assert find_visits(path, backwards, TOLERANCE).share < 0.55
 
 
 @pytest.mark.parametrize("radius", [0.3, 0.5, 1.0, 2.0])
@@ -78,7 +78,7 @@ def test_a_loop_that_a_robot_passes_by_is_not_visited(radius):
 
 def test_a_loop_is_not_visited_from_its_middle():
     path = curve(circle(0.6))
-    assert compute_visited_share(path, np.array([[0.0, 0.0, 0.06]]), TOLERANCE) == 0.0
+    assert find_visits(path, np.array([[0.0, 0.0, 0.06]]), TOLERANCE).share == 0.0
 
 
 def test_a_part_that_was_left_out_is_named_by_its_place():
@@ -94,17 +94,17 @@ def test_a_part_that_was_left_out_is_named_by_its_place():
 def test_straight_lines_join_the_positions_and_rows_without_a_position_are_left_out():
     path = curve([[-6, 0], [6, 0]])
     ends = np.array([path.points[0], [np.nan, np.nan, np.nan], path.points[-1]])
-    assert compute_visited_share(path, ends, TOLERANCE) == 1.0
+    assert find_visits(path, ends, TOLERANCE).share == 1.0
 
 
 def test_nothing_is_visited_by_nobody():
-    assert compute_visited_share(figure_eight(), np.zeros((0, 3)), TOLERANCE) == 0.0
+    assert find_visits(figure_eight(), np.zeros((0, 3)), TOLERANCE).share == 0.0
 
 
 def test_a_detour_and_a_retreat_cost_nothing():
     path = curve([[-6, 0], [6, 0]])
     there = [[-6, 0], [0, 0], [0, 3], [0, 0], [-4, 0], [6, 0]]
-    assert compute_visited_share(path, curve(there).points, TOLERANCE) == 1.0
+    assert find_visits(path, curve(there).points, TOLERANCE).share == 1.0
 
 
 @settings(max_examples=12)
@@ -125,7 +125,7 @@ def test_the_share_is_the_greatest_of_all_monotone_assignments(seed):
         within = np.linalg.norm(cells.places - place, axis=1) <= cells.reach
         for j in range(len(within)):
             most[j + 1] = max(most[j + 1], most[j] + int(within[j]))
-    assert compute_visited_share(path, trail, TOLERANCE) == pytest.approx(most[-1] / len(cells.places))
+    assert find_visits(path, trail, TOLERANCE).share == pytest.approx(most[-1] / len(cells.places))
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1e-3, float("nan")])
